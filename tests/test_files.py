@@ -97,21 +97,6 @@ def test_orientation_tag_is_not_applied(tmp_path, rng):
     assert read_image(tmp_path / "a.jpg").shape == (16, 24, 3)
 
 
-@pytest.mark.parametrize(("subsampling", "name"), [(1, "4:2:2"), (2, "4:2:0")])
-def test_chroma_subsampling_is_warned_of(tmp_path, rng, subsampling, name):
-    picture = rng.integers(0, 255, (16, 16, 3)).astype(np.uint8)
-    Image.fromarray(picture).save(tmp_path / "a.jpg", subsampling=subsampling)
-    with pytest.warns(CaptureWarning, match=name):
-        read_image(tmp_path / "a.jpg")
-
-
-def test_lossy_webp_is_warned_of(tmp_path, rng):
-    picture = rng.integers(0, 255, (16, 16, 3)).astype(np.uint8)
-    Image.fromarray(picture).save(tmp_path / "a.webp", quality=95)
-    with pytest.warns(CaptureWarning, match="WEBP file with 4:2:0"):
-        read_image(tmp_path / "a.webp")
-
-
 @pytest.mark.parametrize(("name", "options"), [("a.jpg", {"subsampling": 0}), ("a.webp", {"lossless": True})])
 def test_full_chroma_is_not_warned_of(tmp_path, rng, name, options):
     picture = rng.integers(0, 255, (16, 16, 3)).astype(np.uint8)

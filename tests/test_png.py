@@ -70,7 +70,7 @@ def test_a_cameras_levels_give_the_same_light_with_and_without_counts(rng, tmp_p
     path.write_bytes(encode_png(walk(rng, (70, 50, 3))))
     for own in ({}, {"black_level": 100.0}, {"white_level": 50_000.0}):
         expected = linearise(decode(path), **own, camera_encoding=Encoding(*levels))
-        np.testing.assert_array_equal(read_light(path, **own, camera_encoding=Encoding(*levels)), expected)
+        np.testing.assert_array_equal(read_light(path, **own, camera_encoding=Encoding(*levels)).image, expected)
     with pytest.raises(InputError, match="white level 100 must be above"):
         read_light(path, white_level=100.0, camera_encoding=Encoding(*levels))
 

@@ -23,8 +23,8 @@ from chromaperture.calibration.session import read_session
 from chromaperture.calibration.white_sheets import measure_white_sheets
 from chromaperture.camera_file import Calibration
 from chromaperture.capture import raw as raw_files
-from chromaperture.capture.exif import read_model, read_noise_profile, turn_of
-from chromaperture.capture.files import decode, read_image
+from chromaperture.capture.exif import read_model, read_noise_profile
+from chromaperture.capture.files import decode, format_of, read_image
 from chromaperture.capture.raw_container import check_complete
 from chromaperture.errors import InputError
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
@@ -134,7 +134,7 @@ def test_the_pixels_stay_and_the_turn_is_known(tmp_path, orientation, turn):
     write_dng(tmp_path / "upright.dng", mosaic)
     write_dng(tmp_path / "a.dng", mosaic, orientation=orientation)
     np.testing.assert_array_equal(decode(tmp_path / "a.dng").array, decode(tmp_path / "upright.dng").array)
-    assert turn_of(tmp_path / "a.dng") == turn
+    assert format_of(tmp_path / "a.dng").turn_degrees == turn
 
 
 @pytest.mark.parametrize(("orientation", "turn"), [(1, 0), (3, 180), (6, 90), (8, 270)])
@@ -143,7 +143,7 @@ def test_the_turn_of_a_developed_photograph(tmp_path, orientation, turn, suffix)
     exif = Image.Exif()
     exif[0x0112], exif[0x0110] = orientation, "Test 5"
     Image.new("RGB", (8, 6), (90, 120, 60)).save(tmp_path / f"a.{suffix}", exif=exif)
-    assert turn_of(tmp_path / f"a.{suffix}") == turn
+    assert format_of(tmp_path / f"a.{suffix}").turn_degrees == turn
     assert read_model(tmp_path / f"a.{suffix}") == "Test 5"
 
 
@@ -151,9 +151,8 @@ def test_a_file_without_such_data_is_upright_and_of_no_model(tmp_path):
     (tmp_path / "broken.jpg").write_bytes(b"\xff\xd8\xff")
     (tmp_path / "broken.tif").write_bytes(b"II*\0")
     for name in ("broken.jpg", "broken.tif", "missing.png"):
-        assert turn_of(tmp_path / name) == 0
         assert read_model(tmp_path / name) is None
-    assert turn_of(sample_image(SAMPLES[0])) == 0
+    assert format_of(sample_image(SAMPLES[0])).turn_degrees == 0
 
 
 @needs_rawpy

@@ -476,7 +476,7 @@ def test_the_cameras_levels_serve_where_a_file_can_hold_them(tmp_path):
     write(tmp_path / "flat.png", (picture() // 4).astype(np.uint8))
     with (
         open_source(str(tmp_path), camera_encoding=Encoding(16, 1016)) as source,
-        pytest.warns(CaptureWarning, match="sRGB"),
+        pytest.warns(CaptureWarning, match="curve srgb"),
     ):
         deep, flat = (f.encoding for f in source)
     assert deep == Encoding(16, 1016)

@@ -17,7 +17,7 @@ PACKAGE = ROOT / "src" / "chromaperture"
 SOURCES = {
     path.relative_to(PACKAGE).as_posix(): path.read_text(encoding="utf-8") for path in sorted(PACKAGE.rglob("*.py"))
 }
-MAX_LINES = 400
+MAX_LINES = 800
 
 STAGES = {"capture", "color", "disparity", "depth"}
 BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "planes_config", "spectral_config", "storage",

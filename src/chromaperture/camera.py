@@ -18,8 +18,9 @@ from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config, repaired, scaled_method
 from chromaperture.camera_memory import check_camera_memory, volumes_go_to_disk
 from chromaperture.camera_scale import SAME_SCALE, resized
-from chromaperture.capture.checks import check_capture
-from chromaperture.capture.files import read_light
+from chromaperture.capture.checks import check_capture, check_form
+from chromaperture.capture.files import Photograph, read_light
+from chromaperture.capture.picture_format import stated_in
 from chromaperture.capture.picture_header import same_frame
 from chromaperture.color.image import checked_image
 from chromaperture.config import Config, ExecutionName, Quality
@@ -251,14 +252,22 @@ class CodedApertureCamera:
         InputError
             As `chromaperture.read_image`.
         """
+        return self.photograph(path, black_level=black_level, white_level=white_level).image
+
+    def photograph(self, path: str | Path, **levels: float | None) -> Photograph:
+        """Read a photograph as `read` does, and say what its file is."""
         check_camera_memory(Path(path).name, self.calibration, self.config)
-        is_known = self.calibration.is_calibrated
-        encoding = self.calibration.sensor.encoding if is_known else None
+        known = self.calibration if self.calibration.is_calibrated else None
         size_px = self._frame_px if self.config.crop_origin_px is None else None
-        return read_light(
-            path, size_px=size_px, any_scale=is_known, black_level=black_level, white_level=white_level,
-            camera_encoding=encoding,
-        )  # fmt: skip
+        encoding = None if known is None else known.sensor.encoding
+        stated = stated_in(self.calibration.provenance)
+        any_scale = known is not None
+        found = read_light(
+            path, size_px=size_px, any_scale=any_scale, camera_encoding=encoding, stated=stated, **levels
+        )
+        if known is not None and found.form is not None:
+            check_form(found.form, Path(path).name, known.provenance, encoding, is_cropped=size_px is None)
+        return found
 
     def shows_frame_at(self, size_px: tuple[int, int]) -> bool:
         """Whether photographs of a size, width and height in px, have the aspect of this calibrated camera's."""

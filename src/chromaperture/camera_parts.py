@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 
@@ -23,14 +22,17 @@ class CameraSensor:
     white_level: float = 65535.0
     full_well_electrons: float | None = None
     read_noise_electrons: float | None = None
-    curve: Literal["linear", "srgb"] = "linear"
+    curve: str = "linear"  # see `Transfer`
+    curve_parameters: tuple[float, ...] = ()
     response: tuple[float, ...] | None = None  # exponents of a `ResponseCurve`; None: values are light
 
     @property
     def encoding(self) -> Encoding:
         """How the photographs that the camera was calibrated on are decoded."""
         response = None if self.response is None else ResponseCurve(self.response)
-        return Encoding(self.black_level, self.white_level, self.curve, response=response)
+        return Encoding(
+            self.black_level, self.white_level, self.curve, response=response, curve_parameters=self.curve_parameters
+        )
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,8 @@ class SensorTable(CameraTable):
     white_level: Finite
     full_well_electrons: Positive | None
     read_noise_electrons: NotNegative | None
-    curve: Literal["linear", "srgb"] = "linear"
+    curve: Literal["linear", "srgb", "bt709", "power", "parametric", "table", "hlg", "pq"] = "linear"
+    curve_parameters: Annotated[tuple[Finite, ...], Field(max_length=65536)] = ()
     response: Annotated[tuple[Exponent, ...], Field(min_length=2, max_length=100)] | None = None
 
 

@@ -20,7 +20,7 @@ from pydantic import Field
 from chromaperture.app.shot_checks import Reading
 from chromaperture.calibration.session import Session, read_session
 from chromaperture.calibration.session_plan import FOLDERS, PlannedSession, plan_files
-from chromaperture.capture.files import decode, has_8_bits, is_photograph
+from chromaperture.capture.files import decode, is_encoded, is_photograph
 from chromaperture.errors import InputError
 from chromaperture.evaluation.health import Check
 from chromaperture.optics.aperture import design_named
@@ -117,9 +117,9 @@ class SessionFolder:
 
     @property
     def is_encoded(self) -> bool:
-        """Whether its files are of 8 bits, decoded as sRGB: no levels are known, and it is no RAW file."""
+        """Whether the values of its files follow a curve, so that no levels are known."""
         first = next((self.folder / shot.file for shot in self.shots), None)
-        return first is not None and self.facts.white_level is None and has_8_bits(first)
+        return first is not None and self.facts.white_level is None and is_encoded(first)
 
     # ---- photographs
 
@@ -139,10 +139,9 @@ class SessionFolder:
                 warnings.simplefilter("ignore")  # the checks say it when they read the photograph again
                 decoded = decode(photograph)
             height, width = decoded.array.shape[:2]
-            levels = {}
-            if decoded.own is not None and self.facts.white_level is None:  # of RAW files; superpixels hold twice
-                levels = {"black_level": decoded.own.black_level / 2, "white_level": decoded.own.white_level / 2}
-            self.facts = self.facts.model_copy(update=levels)
+            if decoded.sensor_levels is not None and self.facts.white_level is None:
+                levels = zip(("black_level", "white_level"), decoded.sensor_levels, strict=True)
+                self.facts = self.facts.model_copy(update=dict(levels))
             self._write((width, height), [], photograph.suffix.lower())
         session = self.session()
         assert session is not None

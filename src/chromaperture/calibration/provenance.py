@@ -19,6 +19,7 @@ from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.camera_file import Calibration
 from chromaperture.capture.exif import read_model
 from chromaperture.capture.files import is_photograph
+from chromaperture.capture.picture_format import PictureFormat, described
 
 
 def origin(
@@ -28,6 +29,7 @@ def origin(
     *,
     command: str | None,
     lens_from: Calibration | None,
+    form: PictureFormat | None = None,
 ) -> dict[str, Any]:
     """Record what a calibration was made from.
 
@@ -42,6 +44,8 @@ def origin(
         Command line, if there was one.
     lens_from : Calibration, optional
         The camera that the lens was taken from.
+    form : PictureFormat, optional
+        Of the photographs.
 
     Returns
     -------
@@ -49,7 +53,7 @@ def origin(
         ``command`` is absent without one, ``camera_model`` where no photograph names it; ``files`` are SHA-256 hashes
         by name.
     """
-    made = {} if command is None else {"command": command}
+    made = described(form) | ({} if command is None else {"command": command})
     lens = None
     if lens_from is not None:
         lens = {"design": lens_from.design, "date": lens_from.provenance.get("date"),

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import math
 import os
@@ -19,7 +20,8 @@ from pydantic import Field
 from chromaperture.calibration.board_distances import check_units
 from chromaperture.camera_parts import CameraSensor
 from chromaperture.camera_scale import LEAST_SIDE_PX, SCALES, reduced_size, resized_sensor
-from chromaperture.capture.files import decode, has_8_bits, image_size, linearise, photographs
+from chromaperture.capture.files import format_of, photographs, read_light
+from chromaperture.capture.picture_format import NOTHING_STATED, PictureFormat, Siting, StatedFacts
 from chromaperture.color.image import is_saturated
 from chromaperture.disparity.working_scale import reduced
 from chromaperture.errors import InputError
@@ -68,6 +70,8 @@ class Session:
     tilts: tuple[Path, ...]  # tilted boards, for the intrinsics
     full_size_px: tuple[int, int] | None = None  # width and height of the photographs; None: those of ``sensor``
     tone_error: float = 0.0  # of the exponent by which decoded values grow with light, see `tone_curve`
+    stated: StatedFacts = NOTHING_STATED
+    form: PictureFormat | None = None  # of the first board's file
 
     @property
     def focuses_at_infinity(self) -> bool:
@@ -82,13 +86,14 @@ class Session:
     def read(self, path: Path) -> np.ndarray:
         """Read one photograph of the session as linear light, at the size of `sensor`; (H, W, 3) float32."""
         expected = self.photograph_size_px
-        width, height = image_size(path)
+        width, height = format_of(path, self.stated).read_size_px
         if (width, height) != expected:
             raise InputError(
-                f"{path.name} is {width}x{height} px but session.toml says "
+                f"{path.name} is read at {width}x{height} px, but the session's boards at "
                 f"{expected[0]}x{expected[1]}; correct session.toml or the photograph"
             )
-        image = linearise(decode(path, size_px=expected), camera_encoding=self.sensor.encoding)  # as `depth` reads
+        # As `depth` reads.
+        image = read_light(path, size_px=expected, camera_encoding=self.sensor.encoding, stated=self.stated).image
         working = (self.sensor.width_px, self.sensor.height_px)
         if working == expected:
             return image
@@ -97,7 +102,10 @@ class Session:
 
     def decoded_as(self, sensor: CameraSensor) -> Session:
         """Return the session with its photographs decoded as those that a camera was calibrated on."""
-        decoding = {name: getattr(sensor, name) for name in ("black_level", "white_level", "curve", "response")}
+        decoding = {
+            name: getattr(sensor, name)
+            for name in ("black_level", "white_level", "curve", "curve_parameters", "response")
+        }
         return replace(self, sensor=replace(self.sensor, **decoding))
 
     @property
@@ -137,11 +145,17 @@ def read_session(folder: str | Path) -> Session:
         raise InputError(f"cannot read {quoted(settings)}: there is no such file; is this a session folder?")
     table = checked(_SessionTable, read_toml(settings), where=quoted(settings))
     boards = _distances(folder)
-    full = CameraSensor(**table.sensor.model_dump(exclude={"linear", "tone_error"}))
-    first = next(iter(boards), None)
-    if first is not None and full.white_level > 255 and has_8_bits(first):  # which cannot hold such levels
-        full = replace(full, black_level=0.0, white_level=255.0, curve="srgb")
+    full = CameraSensor(**table.sensor.model_dump(exclude={"linear", "tone_error", "siting"}))
+    stated = StatedFacts(table.sensor.siting)
+    form = _format_of_first(boards, stated)
+    if form is not None and form.is_encoded and full.white_level > 255:  # encoded values have no such levels
+        encoding = form.encoding(255.0)
+        decoding = {"curve": encoding.curve, "curve_parameters": encoding.curve_parameters}
+        full = replace(full, black_level=0.0, white_level=255.0, **decoding)  # type: ignore[arg-type]
     size = (full.width_px, full.height_px)
+    if form is not None and size == form.size_px:  # as stored: chroma is subsampled
+        size = form.read_size_px
+        full = resized_sensor(full, *size)
     sensor = resized_sensor(full, *reduced_size(size, _scale(full, table.lens, boards)))
     check_units(np.array([*boards.values()]), table.lens.focused_at_about_mm, where=str(folder / "distances.csv"))
     return Session(
@@ -158,7 +172,16 @@ def read_session(folder: str | Path) -> Session:
         tilts=tuple(photographs(folder / "tilt")),
         full_size_px=size,
         tone_error=table.sensor.tone_error,
+        stated=stated,
+        form=form,
     )
+
+
+def _format_of_first(boards: Mapping[Path, float], stated: StatedFacts) -> PictureFormat | None:
+    """Return what the file of the first board is; None without one that can be read, which reading it says."""
+    with contextlib.suppress(InputError):
+        return format_of(next(iter(boards)), stated) if boards else None
+    return None
 
 
 def _scale(sensor: CameraSensor, lens: _LensTable, boards: Mapping[Path, float]) -> int:
@@ -193,6 +216,7 @@ class _SensorTable(Table):
     read_noise_electrons: NotNegative | None = None
     linear: bool = True  # for people; counts are always taken as linear
     tone_error: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    siting: Siting | None = None  # of subsampled chroma, where the files do not say it
 
 
 class _LensTable(Table):

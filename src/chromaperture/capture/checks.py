@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
+from chromaperture.capture.picture_format import FORM, PictureFormat
 from chromaperture.capture.picture_header import other_size
+from chromaperture.color.encoding import Encoding
 from chromaperture.color.image import DARK, SATURATION, checked_image
 from chromaperture.errors import CaptureWarning, InputError
 
@@ -18,6 +22,9 @@ _MOST_DARK = 0.99  # fraction of the samples
 # is smaller. An area of 1e30 or -0.5 (1/35 of the sample) changed the means, and so depth by 5 % in .20 and .10 of the
 # pixels far away; unknown, it changes .02 of them.
 _LEAST_LIGHT, _MOST_LIGHT = -0.1, 2.0
+# Colours that a tag's primaries bring so far below zero, of the largest channel, are rare: not even the purest red of
+# Display P3 is one. Numbers of sRGB that are tagged BT.2020 have them in a tenth of a photograph through film.
+_NEGATIVE, _MOST_NEGATIVE, _SPARSE = -0.05, 0.03, 200  # the last: rows and columns that are looked at
 _SAMPLES = 20_000  # pixels that are checked: standard error of a fraction below 0.4 %
 
 
@@ -65,6 +72,58 @@ def check_capture(image: np.ndarray, width_px: int, height_px: int) -> np.ndarra
             f"{saturated:.0%} of the image is saturated; depth is unreliable there", CaptureWarning, stacklevel=3
         )
     return image
+
+
+def check_form(
+    form: PictureFormat, name: str, provenance: Mapping[str, Any], encoding: Encoding | None, *, is_cropped: bool
+) -> None:
+    """Raise or warn where a photograph is read otherwise than those that the camera was calibrated on.
+
+    Parameters
+    ----------
+    form : PictureFormat
+    name : str
+        Of the file.
+    provenance : Mapping
+        Of the camera file: without a word on what its photographs were, they were read at full size.
+    encoding : Encoding, optional
+        Of the camera.
+    is_cropped : bool
+        The photograph is a part of the frame.
+    """
+    if form.mosaic is not None or form.reduction == 1:
+        return
+    if is_cropped:
+        raise InputError(
+            f"{name} has {form.chroma} chroma and is read at 1/{form.reduction} of its size, where --crop-origin does "
+            "not apply; give the whole frame, or a file with all colours in every pixel (PNG, TIFF, 4:4:4)"
+        )
+    if encoding is not None and encoding.is_encoded and FORM not in provenance:
+        warnings.warn(
+            f"the camera file does not say how its photographs stored their colours: if they had {form.chroma} chroma, "
+            "as this one, its distances are wrong by about 10 %; calibrate again",
+            CaptureWarning,
+            stacklevel=4,
+        )
+
+
+def check_primaries(image: np.ndarray, space_name: str, name: str) -> None:
+    """Raise InputError where the primaries a file is tagged with make negative light of its colours.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float32, linear light brought to the primaries of sRGB
+    space_name, name : str
+        Of the tag, and of the file.
+    """
+    some = image[:: max(1, image.shape[0] // _SPARSE), :: max(1, image.shape[1] // _SPARSE)].reshape(-1, 3)
+    brightest = some.max(axis=1)
+    negative = float(((brightest > DARK) & (some.min(axis=1) < _NEGATIVE * brightest)).mean())
+    if negative > _MOST_NEGATIVE:
+        raise InputError(
+            f"{name} is tagged {space_name}, but {negative:.0%} of its pixels would be negative light: the tag "
+            "contradicts the pixels; if they are sRGB's, say so with primaries srgb"
+        )
 
 
 def all_black() -> InputError:

@@ -12,15 +12,13 @@ import numpy as np
 import tifffile
 from PIL import Image
 
-from chromaperture.capture.files import is_raw
 from chromaperture.capture.picture_header import TIFF_MARKS, open_picture
 from chromaperture.validation import MOST_FILE_BYTES, read_bytes
 
 _JPEG = b"\xff\xd8"  # the first bytes of the file
 # Tags of the EXIF standard.
 _EXIF_IFD = 0x8769
-_MODEL, _ORIENTATION, _NOISE_PROFILE = 0x0110, 0x0112, 51041
-_TURNS = {3: 180, 6: 90, 8: 270}  # codes of an orientation, degrees clockwise; others are mirrored, or upright
+_MODEL, _NOISE_PROFILE = 0x0110, 51041
 _FNUMBER, _SUBJECT_DISTANCE, _FOCAL_LENGTH = 0x829D, 0x9206, 0x920A
 _EXPOSURE_S, _SENSITIVITY = 0x829A, 0x8827
 
@@ -88,15 +86,6 @@ def read_noise_profile(path: str | Path) -> tuple[float, float] | None:
     slope, offset = pairs.mean(axis=0)
     valid = np.isfinite(pairs).all() and (pairs[:, 0] > 0).all() and (pairs[:, 1] >= 0).all()
     return (float(slope), float(offset)) if valid else None
-
-
-def turn_of(path: str | Path) -> int:
-    """Return by how many degrees, clockwise, a photograph is to be turned to stand upright: 0, 90, 180 or 270."""
-    if not is_raw(Path(path)):
-        return _TURNS.get(_tag(path, _ORIENTATION), 0)
-    from chromaperture.capture.raw import raw_turn
-
-    return raw_turn(Path(path))
 
 
 def _tag(path: str | Path, code: int) -> Any:

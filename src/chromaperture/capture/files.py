@@ -1,40 +1,34 @@
-"""Image files to linear light.
+"""Colour files to linear light: one reader for commands, sessions, streams and the app.
 
-Pixels stay as recorded: an EXIF orientation is not applied, because the filters in the pupil do not turn with it, and
-no white balance, because superposition of the views needs the sensor's own scale.
+Pixels stay as recorded: an orientation is not applied, because the filters in the pupil do not turn with it, and no
+white balance, because superposition of the views needs the sensor's own scale. Files with subsampled chroma are read at
+the size of their chroma (`native_planes`); tagged colours are brought to linear light with the primaries of sRGB.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
-import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
-import cv2
 import numpy as np
-from PIL import Image, JpegImagePlugin
 
-from chromaperture.capture.picture_header import (
-    PNG_MARK,
-    TIFF_MARKS,
-    check_png_sums,
-    check_size,
-    open_picture,
-    same_frame,
-)
+from chromaperture.capture.checks import check_primaries
+from chromaperture.capture.coded_pictures import counts_of_data, format_of_data, samples_of_data
+from chromaperture.capture.picture_format import NOTHING_STATED, PictureFormat, Siting, StatedFacts
+from chromaperture.capture.picture_header import check_size, same_frame
 from chromaperture.capture.source import choose_encoding
-from chromaperture.capture.tiff import decode_tiff, tiff_bits, tiff_size
-from chromaperture.color.encoding import Encoding, develop_counts, format_encoding
+from chromaperture.color.encoding import CENTRED, Encoding, develop_counts, format_encoding
 from chromaperture.errors import CaptureWarning, InputError
 from chromaperture.validation import MOST_FILE_BYTES, read_bytes
 
 _RAW_SUFFIXES = {".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2"}
-_PICTURES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}
+_PICTURES = {".avif", ".bmp", ".heic", ".heif", ".hif", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp"}
 _MOST_SATURATED = 0.98  # fraction of the pixels at one largest count; as in `check_capture`
 _SPARSE = 61  # rows and columns: a colour picture is hardly ever grey at all of their crossings
-_SUBSAMPLED = {1: "4:2:2", 2: "4:2:0"}  # Pillow's codes of JPEG chroma subsampling
 
 
 @dataclass(frozen=True)
@@ -44,13 +38,31 @@ class Decoded:
     Attributes
     ----------
     array : (H, W, 3) uint8, uint16, float32 or float64
-        R, G, B as stored; for RAW files twice the mosaic's counts, see `superpixels`.
+        R, G, B as stored; for RAW files twice the mosaic's counts, see `superpixels`; at the places of the chroma
+        samples where chroma is subsampled.
     own : Encoding or None
-        Of a RAW file, which states its levels.
+        Of a file that states how its counts become light; else by the type of its numbers.
+    form : PictureFormat or None
     """
 
     array: np.ndarray
     own: Encoding | None = None
+    form: PictureFormat | None = None
+
+    @property
+    def sensor_levels(self) -> tuple[float, float] | None:
+        """Counts of black and white of the sensor, where a RAW file states them; superpixels hold twice the counts."""
+        if self.own is None or self.own.channel_offsets_px == CENTRED:
+            return None
+        return self.own.black_level / 2, self.own.white_level / 2
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """A photograph as linear light, (H, W, 3) float32, and what its file is."""
+
+    image: np.ndarray
+    form: PictureFormat | None
 
 
 def read_light(
@@ -61,35 +73,33 @@ def read_light(
     black_level: float | None = None,
     white_level: float | None = None,
     camera_encoding: Encoding | None = None,
-) -> np.ndarray:
+    stated: StatedFacts = NOTHING_STATED,
+) -> Photograph:
     """`decode`, then `linearise`; counts of large files of 16 bit are not kept where their levels are known before.
 
     Parameters, errors and warnings are theirs.
-
-    Returns
-    -------
-    (H, W, 3) float32, linear RGB
     """
     path, levels = Path(path), {"black_level": black_level, "white_level": white_level}
     light: list[np.ndarray] = []
 
-    def deep_png(data: bytes) -> np.ndarray | None:
-        deep = np.dtype(np.uint16)
+    def deep_png(data: bytes, own: Encoding) -> np.ndarray | None:
         try:
-            found = choose_encoding(format_encoding(deep), np.empty(0, deep), **levels, camera_encoding=camera_encoding)
+            counts = np.empty(0, np.uint16)
+            found = choose_encoding(own, counts, **levels, camera_encoding=camera_encoding)
         except InputError:  # levels that make no sense, which `linearise` says
-            return _deep_png(data)
-        if not found.given or found.curve != "linear" or found.response is not None:
-            return _deep_png(data)
-        image = _deep_png(data, (found.black_level, found.white_level))
+            return _deep_png(data, own)
+        if not found.given or found.is_encoded or found.response is not None or found.to_srgb is not None:
+            return _deep_png(data, own)
+        image = _decode_rgb16(data, (found.black_level, found.white_level))
         light.extend([] if image is None else [image])
         return image
 
     if camera_encoding is None or is_raw(path):  # the counts may say that a white level is wrong which nobody gave
-        decoded = decode(path, size_px=size_px, any_scale=any_scale)
+        decoded = decode(path, size_px=size_px, any_scale=any_scale, stated=stated)
     else:
-        decoded = Decoded(_colour(_decode(path, size_px, any_scale, deep_png), path))
-    return light[0] if light else linearise(decoded, **levels, camera_encoding=camera_encoding)
+        decoded = _decode(path, size_px, any_scale, stated, deep_png)
+    image = light[0] if light else linearise(decoded, **levels, camera_encoding=camera_encoding)
+    return Photograph(image, decoded.form)
 
 
 def read_image(
@@ -98,13 +108,17 @@ def read_image(
     black_level: float | None = None,
     white_level: float | None = None,
     size_px: tuple[int, int] | None = None,
+    siting: Siting | None = None,
+    primaries: Literal["srgb"] | None = None,
 ) -> np.ndarray:
     """Read a photograph as linear light: `decode`, then `linearise`.
 
-    Files of 16 bit (PNG, TIFF, PPM) hold linear counts; without levels, black is 0 and white 65535. Files of 8 bit
-    (JPEG, PNG, TIFF, PPM, BMP, WebP) are decoded from the sRGB curve; when levels are given, they are taken for linear
-    counts too. TIFF files of floats hold linear light; without levels, black is 0 and white 1. RAW files (extra
-    ``raw``) give one pixel for every 2 x 2 cell of the mosaic; levels are those of the mosaic.
+    Tagged colours (ICC, cICP, gAMA and cHRM, nclx, EXIF's Adobe RGB) are brought to linear sRGB. Without a tag, files
+    of 16 bit (PNG, TIFF, PPM) hold linear counts; without levels, black is 0 and white 65535. Files of 8 bit (JPEG,
+    PNG, TIFF, PPM, BMP, WebP, AVIF, HEIC) are decoded from the sRGB curve; when levels are given, they are taken for
+    linear counts too. TIFF files of floats hold linear light; without levels, black is 0 and white 1. RAW files (extra
+    ``raw``) give one pixel for every 2 x 2 cell of the mosaic; levels are those of the mosaic. Files with subsampled
+    chroma (4:2:0, what cameras write by default) give one pixel for every chroma sample, half as many a side.
 
     Parameters
     ----------
@@ -114,6 +128,10 @@ def read_image(
     size_px : (int, int), optional
         Width and height of the camera: a file of another size is refused before it is decoded. Without it, files of
         more than `validation.MOST_PIXELS` are.
+    siting : {"centre", "left", "top-left"}, optional
+        Place of subsampled chroma among luma; centre when absent, as in JPEG, HEIC, AVIF and WebP.
+    primaries : {"srgb"}, optional
+        In place of those that the file is tagged with.
 
     Returns
     -------
@@ -122,14 +140,16 @@ def read_image(
     Raises
     ------
     InputError
-        The file is missing, damaged, grey, of another size, or the levels make no sense.
+        The file is missing, damaged, grey, of another size, tagged with colours that cannot be undone, or the levels
+        make no sense.
 
     Warns
     -----
     CaptureWarning
-        Chroma subsampling has halved the resolution of the measured signal, or the levels look wrong.
+        The levels look wrong.
     """
-    return linearise(decode(path, size_px=size_px), black_level=black_level, white_level=white_level)
+    decoded = decode(path, size_px=size_px, stated=StatedFacts(siting, primaries))
+    return linearise(decoded, black_level=black_level, white_level=white_level)
 
 
 def linearise(
@@ -141,7 +161,11 @@ def linearise(
 ) -> np.ndarray:
     """Convert the content of a file to linear light; see `read_image` and, for the levels, `choose_encoding`."""
     levels = {"black_level": black_level, "white_level": white_level}
-    return develop_counts(decoded.array, encoding_of(decoded, **levels, camera_encoding=camera_encoding))
+    encoding = encoding_of(decoded, **levels, camera_encoding=camera_encoding)
+    image = develop_counts(decoded.array, encoding)
+    if decoded.form is not None and encoding.to_srgb is not None:
+        check_primaries(image, decoded.form.space.name, "the file")
+    return image
 
 
 def read_counts(
@@ -150,11 +174,12 @@ def read_counts(
     black_level: float | None = None,
     white_level: float | None = None,
     camera_encoding: Encoding | None = None,
-) -> tuple[np.ndarray, Encoding]:
-    """Read a photograph as stored, (H, W, 3), and how to convert it to linear light; see `choose_encoding`."""
-    decoded = decode(path)
+    stated: StatedFacts = NOTHING_STATED,
+) -> tuple[np.ndarray, Encoding, PictureFormat | None]:
+    """Read a photograph's counts, (H, W, 3), how they become light, see `choose_encoding`, and what the file is."""
+    decoded = decode(path, stated=stated)
     levels = {"black_level": black_level, "white_level": white_level}
-    return decoded.array, encoding_of(decoded, **levels, camera_encoding=camera_encoding)
+    return decoded.array, encoding_of(decoded, **levels, camera_encoding=camera_encoding), decoded.form
 
 
 def encoding_of(
@@ -187,48 +212,53 @@ def is_raw(path: Path) -> bool:
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
-    """Return width and height of an image file, px, from its header; raises InputError like `read_image`."""
+    """Return width and height of a photograph as it is read, px, by its header; raises InputError like `read_image`."""
+    return format_of(path).read_size_px
+
+
+def is_encoded(path: Path) -> bool:
+    """Recognise a photograph whose values follow a curve by its header; False where there is none: reading says why."""
+    try:
+        return format_of(path).is_encoded
+    except InputError:
+        return False
+
+
+def format_of(path: str | Path, stated: StatedFacts = NOTHING_STATED) -> PictureFormat:
+    """Return what a photograph's file is by its header; raises InputError like `read_image`."""
     path = Path(path)
     if is_raw(path):
-        from chromaperture.capture.raw import raw_size
+        from chromaperture.capture.raw import raw_format
 
-        return raw_size(path)
+        return raw_format(path)
     data = _read(path)
-    if data.startswith(TIFF_MARKS):
-        return tiff_size(data, path.name)
-    try:
-        width, height = open_picture(data).size
-    except Exception:
-        raise InputError(_damaged(path)) from None
-    check_size(width, height, path.name, None)
-    return width, height
+    with _reported(path):
+        form = format_of_data(data, path.name, stated).with_stated(stated)
+        check_size(*form.size_px, path.name, None)
+    return form
 
 
-def has_8_bits(path: Path) -> bool:
-    """Recognise a picture whose samples have 8 bits by its header; False where there is none, as reading will say."""
-    if is_raw(path):
-        return False
-    try:
-        data = _read(path)
-        return tiff_bits(data) == 8 if data.startswith(TIFF_MARKS) else bool(open_picture(data)) and not _is_deep(data)
-    except Exception:  # whatever a damaged file makes libraries raise
-        return False
-
-
-def decode(path: str | Path, *, size_px: tuple[int, int] | None = None, any_scale: bool = False) -> Decoded:
+def decode(
+    path: str | Path,
+    *,
+    size_px: tuple[int, int] | None = None,
+    any_scale: bool = False,
+    stated: StatedFacts = NOTHING_STATED,
+) -> Decoded:
     """Read a photograph's file once; raises InputError like `read_image`, but for levels.
 
     With ``any_scale`` other sizes of the aspect of ``size_px`` are read, too.
     """
     path = Path(path)
     if is_raw(path):
-        from chromaperture.capture.raw import raw_size, read_raw
+        from chromaperture.capture.raw import raw_format, read_raw
 
-        if any_scale and size_px is not None and same_frame(size_px, found := raw_size(path)):
-            size_px = found
+        form = raw_format(path)
+        if any_scale and size_px is not None and same_frame(size_px, form.read_size_px):
+            size_px = form.read_size_px
         counts, own = read_raw(path, size_px=size_px)
-        return Decoded(counts, own)
-    return Decoded(_colour(_decode(path, size_px, any_scale), path))
+        return Decoded(counts, own, form)
+    return _decode(path, size_px, any_scale, stated)
 
 
 def read_samples(path: str | Path) -> np.ndarray:
@@ -244,7 +274,15 @@ def read_samples(path: str | Path) -> np.ndarray:
     InputError
         The file is missing, damaged or too large.
     """
-    return _decode(Path(path), None, False)
+    path = Path(path)
+    data = _read(path)
+    with _reported(path):
+        return samples_of_data(
+            data,
+            path.name,
+            check=lambda width, height: check_size(width, height, path.name, None),
+            deep_png=_decode_rgb16,
+        )
 
 
 def _read(path: Path) -> bytes:
@@ -254,83 +292,57 @@ def _read(path: Path) -> bytes:
     return data
 
 
+@contextlib.contextmanager
+def _reported(path: Path) -> Iterator[None]:
+    """Turn what decoders raise on a damaged file into one line that names it."""
+    try:
+        yield
+    except InputError as error:
+        known = path.name in str(error)
+        raise (error if known else InputError(f"{path.name}: {error}")).with_traceback(None) from None
+    except (CaptureWarning, MemoryError):  # the first where warnings are errors
+        raise
+    except Exception:
+        raise InputError(_damaged(path)) from None
+
+
 def _damaged(path: Path) -> str:
-    return f"{path.name} is damaged or not an image (PNG, TIFF, PPM, JPEG, BMP or WebP); copy or export the file again"
+    return (
+        f"{path.name} is damaged or not an image (PNG, TIFF, PPM, JPEG, BMP, WebP, AVIF or HEIC); copy the file again"
+    )
 
 
-def _deep_png(data: bytes, levels: tuple[float, float] | None = None) -> np.ndarray | None:
+def _decode_rgb16(data: bytes, levels: tuple[float, float] | None = None) -> np.ndarray | None:
     from chromaperture.capture.deep_png import decode_rgb16  # compiling starts here, not at import
 
     return decode_rgb16(data, levels)
+
+
+def _deep_png(data: bytes, own: Encoding) -> np.ndarray | None:
+    return _decode_rgb16(data)
 
 
 def _decode(
     path: Path,
     size_px: tuple[int, int] | None,
     any_scale: bool,
-    deep_png: Callable[[bytes], np.ndarray | None] = _deep_png,
-) -> np.ndarray:
-    """Decode to an array of counts in the file's own depth, or what ``deep_png`` makes, channels in R, G, B order."""
+    stated: StatedFacts,
+    deep_png: Callable[[bytes, Encoding], np.ndarray | None] = _deep_png,
+) -> Decoded:
+    """Decode to counts in the file's own depth, or what ``deep_png`` makes of them, and say what the file is."""
     data = _read(path)
 
-    def check(width: int, height: int, file_bytes: int | None = None) -> None:
-        is_scaled = any_scale and size_px is not None and same_frame(size_px, (width, height))
-        check_size(width, height, path.name, None if is_scaled else size_px, file_bytes=file_bytes)
-
-    if data.startswith(TIFF_MARKS):
-        return decode_tiff(data, path.name, check=check)
-    try:
-        picture = open_picture(data)
-        check(*picture.size, file_bytes=len(data))
-        if data.startswith(PNG_MARK):
-            check_png_sums(data)
-        else:
-            picture.verify()
-        if _is_deep(data):
-            if data.startswith(b"P"):
-                return _deep_pnm(data, picture)
-            if data.startswith(PNG_MARK):
-                found = deep_png(data)
-                if found is not None:
-                    return found
-            counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-            if counts is None:
-                raise InputError(_damaged(path))
-            # OpenCV stores B, G, R; alpha goes. An index list would leave one plane a channel, which later is copied.
-            if counts.ndim == 3 and counts.shape[2] in (3, 4):
-                return cv2.cvtColor(counts, cv2.COLOR_BGR2RGB if counts.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
-            return counts
-        picture = open_picture(data)
-        _warn_of_subsampling(picture, data)
-        coded = picture.mode in ("P", "RGBA", "CMYK", "YCbCr")
-        return np.asarray(picture.convert("RGB") if coded else picture)
-    except InputError as error:
-        raise InputError(str(error) if path.name in str(error) else _damaged(path)) from None
-    except (CaptureWarning, MemoryError):  # the first where warnings are errors
-        raise
-    except Exception:  # decoders raise anything on a damaged file
-        raise InputError(_damaged(path)) from None
+    with _reported(path):
+        form = format_of_data(data, path.name, stated).with_stated(stated)
+        is_scaled = any_scale and size_px is not None and same_frame(size_px, form.read_size_px)
+        check_size(*form.read_size_px, path.name, None if is_scaled else size_px, file_bytes=len(data))
+        own = form.encoding(65535.0)
+        counts, form, white = counts_of_data(data, form, path.name, stated, lambda data: deep_png(data, own))
+        form = form.with_stated(stated)
+    return Decoded(_checked(counts, path), form.encoding(white), form)
 
 
-def _is_deep(data: bytes) -> bool:
-    """Recognise PNG and PNM files of more than 8 bits, which Pillow would reduce to 8."""
-    if data.startswith(PNG_MARK):
-        return len(data) > 24 and data[24] == 16
-    if data[:2] in (b"P5", b"P6"):
-        fields = [f for line in data[:512].split(b"\n") for f in line.split(b"#")[0].split()]
-        return len(fields) > 3 and int(fields[3]) > 255
-    return False
-
-
-def _deep_pnm(data: bytes, picture: Image.Image) -> np.ndarray:
-    """Return the samples behind the header; raises ValueError where there are too few."""
-    channels = 3 if data.startswith(b"P6") else 1
-    (width, height), start = picture.size, picture.tile[0].offset  # type: ignore[attr-defined]
-    counts = np.frombuffer(data, ">u2", width * height * channels, start)
-    return counts.astype(np.uint16).reshape(height, width, channels)
-
-
-def _colour(counts: np.ndarray, path: Path) -> np.ndarray:
+def _checked(counts: np.ndarray, path: Path) -> np.ndarray:
     """Check that the counts are a colour image of a usable type."""
     if counts.ndim == 3 and counts.shape[2] == 4:
         counts = counts[..., :3]
@@ -350,18 +362,3 @@ def _colour(counts: np.ndarray, path: Path) -> np.ndarray:
 def _are_alike(counts: np.ndarray) -> bool:
     """Whether all three channels are the same."""
     return np.array_equal(counts[..., 0], counts[..., 1]) and np.array_equal(counts[..., 1], counts[..., 2])
-
-
-def _warn_of_subsampling(picture: Image.Image, data: bytes) -> None:
-    kind = None
-    if isinstance(picture, JpegImagePlugin.JpegImageFile):
-        kind = _SUBSAMPLED.get(JpegImagePlugin.get_sampling(picture))
-    elif picture.format == "WEBP" and b"VP8L" not in data[:64]:  # lossless, maybe after a header
-        kind = "4:2:0"
-    if kind:
-        warnings.warn(
-            f"a {picture.format} file with {kind} chroma, which halves the resolution of the colours the depth is read "
-            "from; use RAW, PNG or TIFF, or JPEG at best quality (4:4:4)",  # names no file: Python shows it once
-            CaptureWarning,
-            stacklevel=5,
-        )

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from chromaperture.capture.files import photographs, read_counts
+from chromaperture.capture.picture_format import described
 from chromaperture.capture.recording import HEADER
 from chromaperture.capture.source import Event, FileSource, Frame, Listener, checked_fps
 from chromaperture.color.encoding import Encoding
@@ -63,14 +64,14 @@ class FolderSource(FileSource):
         read = 0
         for index, path in enumerate(self.paths):
             try:
-                counts, encoding = read_counts(path, **self.levels)
+                counts, encoding, form = read_counts(path, **self.levels)
             except MissingDependencyError:
                 raise  # all files need it
             except InputError as error:
                 self.listener(Event("skipped", str(error)))
                 continue
             read += 1
-            yield Frame(counts, encoding, index / self.fps, index, {"file": path.name})
+            yield Frame(counts, encoding, index / self.fps, index, {"file": path.name} | described(form))
         if not read:
             raise InputError(f"none of the {len(self.paths)} files at {self.name} can be used as a colour picture")
 

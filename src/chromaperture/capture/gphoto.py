@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from chromaperture.capture.files import read_counts
+from chromaperture.capture.picture_format import described
 from chromaperture.capture.source import Event, FileSource, Frame, Listener
 from chromaperture.capture.threaded_source import not_there
 from chromaperture.color.encoding import Encoding
@@ -104,9 +105,9 @@ class TetheredCamera(FileSource):
                     self.listener(Event("lost", f"{self.name} does not answer ({error.string}); looking for it again"))
                     self._reconnect()
                     continue
-                counts, encoding = read_counts(path, **self._levels)
+                counts, encoding, form = read_counts(path, **self._levels)
                 path.unlink()
-                yield Frame(counts, encoding, time.time(), index, {"file": made.name})
+                yield Frame(counts, encoding, time.time(), index, {"file": made.name} | described(form))
                 index += 1
 
     def _reconnect(self) -> None:

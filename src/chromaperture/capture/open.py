@@ -127,7 +127,7 @@ def _checked(kind: str, maker: Callable[..., Any], settings: dict[str, Any], *ot
     for name, value in settings.items():
         if name not in known:
             raise InputError(f"{kind} has no setting {name!r}: choose {', '.join([*known, *others])}")
-        if isinstance(value, str) and "str" not in str(known[name].annotation):
+        if isinstance(value, str) and str(known[name].annotation).startswith(("int", "float")):
             value = _number(name, value)
             if str(known[name].annotation).startswith("int"):
                 if not value.is_integer():

@@ -7,6 +7,7 @@ import logging
 import struct
 
 from PIL import (
+    AvifImagePlugin,
     BmpImagePlugin,
     ImageFile,
     JpegImagePlugin,
@@ -31,25 +32,46 @@ _KINDS: tuple[tuple[tuple[bytes, ...], int, type[ImageFile.ImageFile]], ...] = (
     ((b"\xff\xd8",), 0, JpegImagePlugin.JpegImageFile),
     ((b"BM",), 0, BmpImagePlugin.BmpImageFile),
     ((b"WEBP",), 8, WebPImagePlugin.WebPImageFile),
+    ((b"avif",), 8, AvifImagePlugin.AvifImageFile),
     (tuple(b"P%d" % number for number in range(1, 7)), 0, PpmImagePlugin.PpmImageFile),
     (TIFF_MARKS, 0, TiffImagePlugin.TiffImageFile),
 )
+_TO_PICTURE = "export it as PNG or TIFF"
+_TO_FRAMES = "'chromaperture export' measures videos; or give a photograph"
+_OTHERS = (  # marks, where they are, what such a file is and what to do
+    ((b"GIF8",), 0, f"a GIF picture of at most 256 colours: {_TO_PICTURE} from the original"),
+    ((b"avis",), 8, "an animated AVIF picture; give one photograph a file"),
+    ((b"\xff\x0a", b"\x00\x00\x00\x0cJXL "), 0, f"a JPEG XL picture, which is not read: {_TO_PICTURE}"),
+    ((b"\x00\x00\x00\x0cjP  ", b"\xff\x4f\xff\x51"), 0, f"a JPEG 2000 picture, which is not read: {_TO_PICTURE}"),
+    ((b"8BPS",), 0, f"a Photoshop document: {_TO_PICTURE}"),
+    ((b"\x76\x2f\x31\x01",), 0, f"an OpenEXR picture, which is not read: {_TO_PICTURE} (16 bit, linear)"),
+    ((b"%PDF",), 0, f"a PDF document: {_TO_PICTURE}"),
+    ((b"\x1aE\xdf\xa3", b"RIFF", b"YUV4MPEG2", b"\x00\x00\x01\xba"), 0, f"a video: {_TO_FRAMES}"),
+    ((b"moov", b"ftyp", b"mdat", b"wide"), 4, f"a video: {_TO_FRAMES}"),
+)
+
+
+def other_kind(data: bytes) -> str | None:
+    """Say what a file is that is known but not read as a photograph, and what to do; None for all others."""
+    if any(data.startswith(marks, at) for marks, at, _ in _KINDS):
+        return None
+    return next((what for marks, at, what in _OTHERS if data.startswith(marks, at)), None)
 
 
 def open_picture(data: bytes) -> ImageFile.ImageFile:
-    """Open a PNG, JPEG, PNM, BMP, WebP or TIFF file and read its header.
+    """Open a PNG, JPEG, PNM, BMP, WebP, AVIF or TIFF file and read its header.
 
     Pillow's other formats are not tried, and its limit of 179 megapixels does not apply: `check_size` has ours.
 
     Raises
     ------
-    InputError
+    ValueError
         It is in none of these formats.
     """
     for marks, at, kind in _KINDS:
         if data.startswith(marks, at):
             return kind(io.BytesIO(data))
-    raise InputError("no image format that is read")
+    raise ValueError("no image format that is read")
 
 
 def check_png_sums(data: bytes) -> None:
@@ -59,19 +81,19 @@ def check_png_sums(data: bytes) -> None:
 
     Raises
     ------
-    InputError
+    ValueError
         A chunk is damaged or cut off.
     """
     view, at, name = memoryview(data), 8, b""  # 8 bytes of signature
     while name != b"IEND":
         if at + 12 > len(data):
-            raise InputError("the PNG file ends too early")
+            raise ValueError("the PNG file ends too early")
         length, name = struct.unpack_from(">I4s", data, at)
         after = at + 8 + length
         if after + 4 > len(data):
-            raise InputError("the PNG file ends too early")
+            raise ValueError("the PNG file ends too early")
         if crc32(view[at + 4 : after]) != int.from_bytes(data[after : after + 4], "big"):
-            raise InputError("a checksum in the PNG file is wrong")
+            raise ValueError("a checksum in the PNG file is wrong")
         at = after + 4
 
 

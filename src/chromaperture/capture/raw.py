@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.capture.bayer import superpixels
+from chromaperture.capture.picture_format import SENSOR_LIGHT, PictureFormat
 from chromaperture.capture.picture_header import check_size
 from chromaperture.capture.raw_container import check_complete
 from chromaperture.color.encoding import Encoding
@@ -21,10 +22,15 @@ from chromaperture.validation import quoted
 _TURNS = {3: 180, 5: 270, 6: 90}  # LibRaw's codes of an orientation, degrees clockwise
 
 
-def raw_size(path: Path) -> tuple[int, int]:
-    """Return width and height of the half-size picture, px; raises like `read_raw`."""
+def raw_format(path: Path) -> PictureFormat:
+    """Return what a RAW file is; raises like `read_raw`."""
     with _opened(path) as raw:
-        return raw.sizes.width // 2, raw.sizes.height // 2
+        sizes, bits = raw.sizes, int(raw.white_level).bit_length()
+        # An odd last row or column has no whole cell.
+        return PictureFormat(
+            "RAW", (sizes.width // 2 * 2, sizes.height // 2 * 2), bits, (2, 2), space=SENSOR_LIGHT, mosaic="Bayer",
+            turn_degrees=_TURNS.get(sizes.flip, 0), known_from={"mosaic": "tag"},
+        )  # fmt: skip
 
 
 def read_raw(path: Path, *, size_px: tuple[int, int] | None = None) -> tuple[np.ndarray, Encoding]:
@@ -86,12 +92,6 @@ def _with_one_black(counts: np.ndarray, pattern: str, black: np.ndarray) -> np.n
         factor = 1 if place == "G" else 2  # as in `superpixels`: a cell has two G
         moved[..., "RGB".index(place)] -= np.float32(factor * (level - black.mean()))
     return moved
-
-
-def raw_turn(path: Path) -> int:
-    """Return by how many degrees, clockwise, the sensor's picture is to be turned to stand upright; as `read_raw`."""
-    with _opened(path) as raw:
-        return _TURNS.get(raw.sizes.flip, 0)
 
 
 @contextlib.contextmanager

@@ -26,7 +26,7 @@ import tifffile
 from chromaperture.capture.recording_index import EncodingEntry, Entry, entry_of, line_of
 from chromaperture.capture.source import Event, FileSource, Frame, Listener, choose_encoding
 from chromaperture.capture.tiff import decode_tiff
-from chromaperture.color.encoding import CENTRED, Encoding, format_encoding
+from chromaperture.color.encoding import Encoding, format_encoding
 from chromaperture.errors import InputError
 from chromaperture.validation import quoted, read_bytes
 
@@ -94,7 +94,7 @@ class Recorder:
             "index": frame.index,
             "time_s": frame.time_s,
             "crc32": zlib.crc32(frame.counts.tobytes()),
-            "encoding": _recorded(frame.encoding),
+            "encoding": _recorded(frame.encoding, frame.counts.dtype),
             "metadata": dict(frame.metadata),
         }
         line = line_of(entry)
@@ -203,11 +203,11 @@ class ReplaySource(FileSource):
         return choose_encoding(own, counts, **self.levels, camera_encoding=camera_encoding)
 
 
-def _recorded(encoding: Encoding) -> dict[str, Any]:
-    """Return the fields to record; null for levels that neither a person nor a RAW file gave."""
+def _recorded(encoding: Encoding, dtype: np.dtype[Any]) -> dict[str, Any]:
+    """Return the fields to record; null for levels that are those of the number format alone."""
     fields = asdict(encoding)
     del fields["response"]  # of the camera file, which is read again
-    if not encoding.given and encoding.channel_offsets_px == CENTRED:
+    if not encoding.given and encoding == format_encoding(dtype):
         fields["black_level"] = fields["white_level"] = None
     return fields
 

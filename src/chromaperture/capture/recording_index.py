@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from chromaperture.color.color_space import TRANSFERS
 from chromaperture.errors import InputError
 from chromaperture.validation import Finite, Table, checked
 
@@ -22,9 +23,11 @@ class EncodingEntry(Table):
 
     black_level: Finite | None
     white_level: Finite | None
-    curve: Literal["linear", "srgb"]
+    curve: Literal[TRANSFERS]  # type: ignore[valid-type]
     channel_offsets_px: tuple[_Pair, _Pair, _Pair]
     given: bool = True  # the first format has none
+    curve_parameters: Annotated[tuple[Finite, ...], Field(max_length=65536)] = ()
+    to_srgb: Annotated[tuple[Finite, ...], Field(min_length=9, max_length=9)] | None = None
 
 
 class Entry(Table):

@@ -43,22 +43,21 @@ def choose_encoding(
     black_level, white_level : float, optional
         Of the sensor; superpixels hold twice its counts. Given levels make counts linear.
     camera_encoding : Encoding, optional
-        Of the photographs that the camera was calibrated on, `CameraSensor.encoding`. Pictures of 8 bits tell nothing
-        of deeper ones, nor deeper ones of them.
+        Of the photographs that the camera was calibrated on, `CameraSensor.encoding`. Pictures of encoded values tell
+        nothing of linear ones, nor linear ones of them.
 
     Warns
     -----
     CaptureWarning
-        8 bits cannot hold the camera's levels, or the white level is a guess that looks wrong. The text names no file,
-        so that Python shows it once.
+        Encoded values cannot hold the camera's levels, or the white level is a guess that looks wrong. The text names
+        no file, so that Python shows it once.
     """
+    camera = None if camera_encoding is None else _camera_of(own, counts, camera_encoding, (black_level, white_level))
     given = (black_level, white_level)
-    camera = camera_encoding
-    if camera is not None:
-        camera = _camera_of(counts, camera, are_given=given != (None, None))
     known = (None, None) if camera is None else (camera.black_level, camera.white_level)
     black, white = (level if level is not None else of_camera for level, of_camera in zip(given, known, strict=True))
-    if white is None and not own.given and own.white_level == 65535 and 0 < counts.max(initial=0) < _TWELVE_BITS:
+    is_guess = white is None and not (own.given or own.is_encoded) and own.white_level == 65535
+    if is_guess and 0 < counts.max(initial=0) < _TWELVE_BITS:
         warnings.warn(
             f"a 16-bit picture without a count above {_TWELVE_BITS - 1}; if the sensor has fewer bits, "
             "give --white-level",
@@ -68,30 +67,46 @@ def choose_encoding(
     if black is None and white is None:
         return own
     factor = 1 if own.channel_offsets_px == CENTRED else 2
-    return Encoding(
-        own.black_level if black is None else factor * float(black),
-        own.white_level if white is None else factor * float(white),
-        "linear" if camera is None else camera.curve,
-        own.channel_offsets_px,
-        None if camera is None else camera.response,
+    curve = {} if camera is None else {"curve": camera.curve, "curve_parameters": camera.curve_parameters}
+    return replace(
+        own,
+        **{"curve": "linear", "curve_parameters": ()} | curve,  # type: ignore[arg-type]
+        black_level=own.black_level if black is None else factor * float(black),
+        white_level=own.white_level if white is None else factor * float(white),
+        response=None if camera is None else camera.response,
+        given=True,
     )
 
 
-def _camera_of(counts: np.ndarray, camera: Encoding, *, are_given: bool) -> Encoding | None:
-    """Return the camera's encoding where its levels can be those of the counts, else None."""
-    is_8_bit_camera = camera.white_level <= 255
-    if counts.dtype != np.uint8:
-        return None if is_8_bit_camera and camera.curve == "srgb" else camera
-    if is_8_bit_camera:
-        return None if are_given and camera.curve == "srgb" else camera
-    if not are_given:
+def _camera_of(
+    own: Encoding, counts: np.ndarray, camera: Encoding, given: tuple[float | None, float | None]
+) -> Encoding | None:
+    """Return the camera's encoding, its levels those of the counts, where it can be that of the counts; else None."""
+    is_given = given != (None, None)
+    if camera.is_encoded:
+        if is_given or not own.is_encoded:
+            return None
+        if (own.curve, own.curve_parameters) != (camera.curve, camera.curve_parameters):
+            return None  # each is decoded by its own curve; what was measured of the camera's does not apply
+        scale = own.white_level / _white_of_encoded(camera)
+        return replace(camera, black_level=scale * camera.black_level, white_level=scale * camera.white_level)
+    if counts.dtype != np.uint8 and not own.is_encoded:
+        return camera
+    if counts.dtype == np.uint8 and camera.white_level <= 255:  # linear counts of 8 bits, which no tag tells
+        return camera
+    if not is_given:
         warnings.warn(
-            f"an 8-bit picture, but the camera was calibrated on counts up to {camera.white_level:g}: "
-            "decoded as sRGB, which costs accuracy; use the linear original",
+            f"a picture of encoded values, but the camera was calibrated on counts up to {camera.white_level:g}: "
+            f"decoded by the curve {own.curve}, which costs accuracy; use the linear original",
             CaptureWarning,
             stacklevel=5,
         )
     return None
+
+
+def _white_of_encoded(camera: Encoding) -> float:
+    """Return the highest count of the numbers that a camera's levels were stated in: of 8 bits, or of 16."""
+    return 255.0 if camera.white_level <= 255 else 65535.0
 
 
 def checked_fps(fps: float) -> float:
@@ -136,12 +151,12 @@ class Event:
 
     Attributes
     ----------
-    kind : {"lost", "reconnected", "size", "dark", "skipped"}
+    kind : {"lost", "reconnected", "size", "dark", "skipped", "turned"}
     message : str
         One line.
     """
 
-    kind: Literal["lost", "reconnected", "size", "dark", "skipped"]
+    kind: Literal["lost", "reconnected", "size", "dark", "skipped", "turned"]
     message: str
 
 

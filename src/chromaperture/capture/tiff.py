@@ -7,6 +7,7 @@ import logging
 import math
 import zlib
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import tifffile
@@ -16,6 +17,7 @@ from chromaperture.validation import MOST_PIXELS
 
 # An error is one line of ours: without a handler, Python prints what libraries log.
 logging.getLogger("tifffile").addHandler(logging.NullHandler())
+_ICC_PROFILE, _ORIENTATION = 34675, 274  # tags
 _MOST_SAMPLES = 4  # of a pixel: R, G, B and alpha
 _DEFLATE = {tifffile.COMPRESSION.ADOBE_DEFLATE, tifffile.COMPRESSION.DEFLATE}
 _COMPRESSIONS = _DEFLATE | {tifffile.COMPRESSION.NONE, tifffile.COMPRESSION.LZW, tifffile.COMPRESSION.PACKBITS}
@@ -63,25 +65,34 @@ def decode_tiff(data: bytes, name: str, *, check: Callable[[int, int], None] = n
         ) from None
 
 
-def tiff_size(data: bytes, name: str) -> tuple[int, int]:
-    """Return width and height of the first picture, px; raises InputError like `decode_tiff`."""
+class TiffHeader(NamedTuple):
+    """What the first picture of a TIFF file is; ``profile``: its ICC profile, ``orientation``: EXIF's code."""
+
+    size_px: tuple[int, int]
+    bits: int
+    profile: bytes | None
+    orientation: int
+
+
+def tiff_header(data: bytes, name: str) -> TiffHeader:
+    """Return the header of the first picture; raises InputError like `decode_tiff`."""
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as file:
             page = file.pages.first
             _check_page(page, name)
-            return int(page.imagewidth), int(page.imagelength)
+            size = int(page.imagewidth), int(page.imagelength)
+            profile, orientation = (page.tags.get(code) for code in (_ICC_PROFILE, _ORIENTATION))
+            bits = int(np.dtype(page.dtype).itemsize * 8)
+            return TiffHeader(
+                size, bits, None if profile is None else bytes(profile.value),
+                1 if orientation is None else int(orientation.value),
+            )  # fmt: skip
     except InputError:
         raise
     except Exception:
         raise InputError(
             f"{name} is damaged or not a TIFF file with a picture; copy or export the file again"
         ) from None
-
-
-def tiff_bits(data: bytes) -> int:
-    """Return the bits of a sample of the first picture; raises whatever a damaged file makes tifffile raise."""
-    with tifffile.TiffFile(io.BytesIO(data)) as file:
-        return int(file.pages.first.bitspersample)
 
 
 def _check_page(page: tifffile.TiffPage, name: str) -> None:

@@ -1,30 +1,39 @@
-"""A video file as a source, through the FFmpeg inside OpenCV."""
+"""A video file as a source, through the FFmpeg inside PyAV."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
-import cv2
+import av
+import av.container
 
+from chromaperture.capture.checks import check_primaries
+from chromaperture.capture.decoded_frame import counts_of_frame, format_of_frame
+from chromaperture.capture.picture_format import PictureFormat, Siting, StatedFacts, described
 from chromaperture.capture.source import Event, FileSource, Frame, Listener, checked_fps, choose_encoding
-from chromaperture.color.encoding import Encoding, format_encoding
+from chromaperture.color.encoding import Encoding
 from chromaperture.errors import InputError
 
-VIDEOS = {".avi", ".m4v", ".mjpeg", ".mkv", ".mov", ".mp4", ".mpg", ".ts", ".webm", ".y4m"}
+VIDEOS = {".avi", ".m4v", ".mjpeg", ".mkv", ".mov", ".mp4", ".mpg", ".mts", ".ts", ".webm", ".y4m"}
+_CENTRED_Y4M = (b" C420jpeg", b" C420 ", b" C420\n")  # mjpegtools' names of 4:2:0; the others say where it is
 
 
 class VideoSource(FileSource):
-    """Frames of a clip, 8-bit sRGB. Most codecs halve the resolution of colour; FFV1 in 4:4:4 does not.
+    """Frames of a clip as stored: of 4:2:0 at half the size, turned by no tag, at the times that it states.
 
     Parameters
     ----------
     path : str
     fps : float, optional
-        For the times of the frames; default the clip's.
+        For the times of the frames; default the clip's own times.
+    siting : {"left", "centre", "top-left"}, optional
+        Place of subsampled chroma among luma; left when absent, as H.264, HEVC and VP9 define it without a tag.
+    primaries : {"srgb"}, optional
+        In place of those that the clip is tagged with.
     black_level, white_level : float, optional
-        Of linear counts; without them, counts are sRGB.
+        Of linear counts; without them, counts are what the clip's tags say, or sRGB.
     camera_encoding : Encoding, optional
         See `choose_encoding`.
     listener : callable, optional
@@ -35,6 +44,8 @@ class VideoSource(FileSource):
         path: str,
         *,
         fps: float | None = None,
+        siting: Siting | None = None,
+        primaries: Literal["srgb"] | None = None,
         black_level: float | None = None,
         white_level: float | None = None,
         camera_encoding: Encoding | None = None,
@@ -42,42 +53,91 @@ class VideoSource(FileSource):
     ) -> None:
         super().__init__(path, listener=listener)
         self.fps = None if fps is None else checked_fps(fps)
+        self.stated = StatedFacts(siting, primaries)
         self.levels: dict[str, Any] = {"black_level": black_level, "white_level": white_level}
         self.levels["camera_encoding"] = camera_encoding
-        self._clip: cv2.VideoCapture | None = None
+        self._clip: av.container.InputContainer | None = None
 
     def open(self) -> None:
         """Open the clip."""
         if not os.path.isfile(self.name):
             raise InputError(f"no video at {self.name}")
-        self._clip = cv2.VideoCapture(self.name, cv2.CAP_FFMPEG)
-        if not self._clip.isOpened():
+        try:
+            self._clip = av.open(self.name)
+            self._clip.streams.video[0].thread_type = "AUTO"
+        except (av.FFmpegError, ValueError, IndexError, OSError):
+            self.close()
             raise InputError(
                 f"{self.name} is damaged or not a video that FFmpeg reads; convert it, for instance to FFV1"
-            )
+            ) from None
 
     def close(self) -> None:
         """Close the clip."""
         if self._clip is not None:
-            self._clip.release()
+            self._clip.close()
         self._clip = None
 
     def frames(self) -> Iterator[Frame]:
-        """Yield all frames; report when there are fewer than the file declares."""
-        clip = self._clip
-        if clip is None:
+        """Yield all frames; report when there are fewer than the file declares, and when it is to be turned."""
+        if self._clip is None:
             raise InputError(f"{self.name} is not open: use the source in a with statement")
-        promised = int(clip.get(cv2.CAP_PROP_FRAME_COUNT))
-        fps = self.fps or clip.get(cv2.CAP_PROP_FPS) or 30.0
-        index = 0
-        while True:
-            ok, bgr = clip.read()
-            if not ok:
-                break
-            encoding = choose_encoding(format_encoding(bgr.dtype), bgr, **self.levels)
-            yield Frame(bgr[..., ::-1].copy(), encoding, index / fps, index, {})
+        promised, index = self._clip.streams.video[0].frames, 0
+        form: PictureFormat | None = None
+        first_s: float | None = None
+        for frame in self._decoded():
+            if form is None or (frame.width, frame.height) != form.size_px:
+                form = self._format(frame)
+                if form.turn_degrees and index == 0:
+                    said = f"{self.name} is to be turned by {form.turn_degrees} degrees for people; "
+                    stay = "frames stay as the sensor delivers them, like the calibration"
+                    self.listener(Event("turned", said + stay))
+            counts, white = counts_of_frame(frame, form)
+            encoding = choose_encoding(form.encoding(white), counts, **self.levels)
+            stated_s = None if frame.time is None else float(frame.time)
+            first_s = stated_s if first_s is None else first_s
+            if self.fps is not None or stated_s is None or first_s is None:
+                time_s = index / (self.fps or 30.0)
+            else:
+                time_s = stated_s - first_s
+            found = Frame(counts, encoding, time_s, index, described(form))
+            if index == 0 and encoding.to_srgb is not None:
+                check_primaries(found.image, form.space.name, self.name)
+            yield found
             index += 1
         if index == 0:
             raise InputError(f"{self.name} holds no frame that can be decoded; record or convert it again")
         if index < promised:
             self.listener(Event("skipped", f"{self.name} ends after {index} of {promised} frames"))
+
+    def _decoded(self) -> Iterator[av.VideoFrame]:
+        """Yield the frames that can be decoded; report the others once."""
+        assert self._clip is not None
+        is_damaged = False
+        try:
+            for packet in self._clip.demux(self._clip.streams.video[0]):
+                try:
+                    frames = packet.decode()
+                except av.FFmpegError:
+                    frames = []
+                    if not is_damaged:
+                        self.listener(Event("skipped", f"{self.name} is damaged; frames are left out"))
+                    is_damaged = True
+                yield from frames
+        except av.FFmpegError as error:  # of the container
+            self.listener(Event("skipped", f"{self.name} is damaged ({error.strerror}); the rest is left out"))
+
+    def _format(self, frame: av.VideoFrame) -> PictureFormat:
+        assert self._clip is not None
+        siting: Siting = "left"
+        if self._clip.format.name == "yuv4mpegpipe":
+            with open(self.name, "rb") as file:
+                head = file.readline(200)
+            siting = "centre" if any(name in head for name in _CENTRED_Y4M) or b" C" not in head else "left"
+        try:
+            kind = self._clip.streams.video[0].codec_context.name
+            # FFmpeg counts the turn counterclockwise.
+            return format_of_frame(
+                frame, kind, siting=siting, stated=self.stated, turn_degrees=-int(frame.rotation) % 360
+            ).with_stated(self.stated)
+        except InputError as error:
+            raise InputError(f"{self.name}: {error}") from None

@@ -101,6 +101,6 @@ def _facts(photo: Path) -> dict[str, Any]:
         "focal_length_mm": exif.focal_length_mm,
         "f_number": exif.f_number,
     }
-    if decoded.own is not None:  # of a RAW file; superpixels hold twice its counts
-        facts |= {"black_level": decoded.own.black_level / 2, "white_level": decoded.own.white_level / 2}
+    if decoded.sensor_levels is not None:
+        facts |= dict(zip(("black_level", "white_level"), decoded.sensor_levels, strict=True))
     return facts

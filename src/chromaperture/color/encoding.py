@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
 
+from chromaperture.color.color_space import TRANSFERS, Transfer, to_linear
 from chromaperture.color.response import ResponseCurve
-from chromaperture.color.srgb import srgb_to_linear
 from chromaperture.errors import InputError
 from chromaperture.threads import each_band
 
@@ -25,8 +25,8 @@ class Encoding:
     ----------
     black_level, white_level : float
         Counts of no light and of a full well.
-    curve : {"linear", "srgb"}
-        sRGB counts are decoded; levels apply before the curve.
+    curve : str
+        Transfer by which values are decoded, see `Transfer`; levels apply before it.
     channel_offsets_px : ((dx, dy),) * 3
         Sampling positions of R, G and B from the pixel's centre; not zero for superpixels of a Bayer mosaic.
     response : ResponseCurve, optional
@@ -34,22 +34,33 @@ class Encoding:
     given : bool
         False: nobody gave the levels. They are those of the number format or of a RAW file, and a camera file's replace
         them. Not compared: light is the same.
+    curve_parameters : tuple of float
+        Of the curve.
+    to_srgb : (9,) tuple of float, optional
+        Rows of the matrix from the file's primaries to those of sRGB, of light.
     """
 
     black_level: float = 0.0
     white_level: float = 65535.0
-    curve: Literal["linear", "srgb"] = "linear"
+    curve: str = "linear"
     channel_offsets_px: Offsets = CENTRED
     response: ResponseCurve | None = None
     given: bool = field(default=True, compare=False)
+    curve_parameters: tuple[float, ...] = ()
+    to_srgb: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if not (np.isfinite([self.black_level, self.white_level]).all() and self.white_level > self.black_level):
             raise InputError(
                 f"white level {self.white_level:g} must be above black level {self.black_level:g}; check the options"
             )
-        if self.curve not in ("linear", "srgb"):
-            raise InputError(f"unknown curve {self.curve!r}: choose linear or srgb")
+        if self.curve not in TRANSFERS:
+            raise InputError(f"unknown curve {self.curve!r}: choose {', '.join(TRANSFERS)}")
+
+    @property
+    def is_encoded(self) -> bool:
+        """Whether values follow a curve, as those of pictures for people do; else they are light."""
+        return self.curve != "linear"
 
 
 def format_encoding(dtype: np.dtype[Any]) -> Encoding:
@@ -73,6 +84,8 @@ def develop_counts(counts: np.ndarray, encoding: Encoding) -> np.ndarray:
             image[..., channel] = cv2.sepFilter2D(
                 np.ascontiguousarray(image[..., channel]), -1, _cubic(-dx), _cubic(-dy), borderType=cv2.BORDER_REPLICATE
             )
+    if encoding.to_srgb is not None:
+        image = cv2.transform(image, np.reshape(encoding.to_srgb, (3, 3)))
     return image
 
 
@@ -88,8 +101,8 @@ def _light(counts: np.ndarray, encoding: Encoding) -> np.ndarray:
         part /= span
 
     each_band(convert, len(image))
-    if encoding.curve == "srgb":
-        image = srgb_to_linear(image)
+    if encoding.is_encoded:
+        image = to_linear(image, Transfer(encoding.curve, encoding.curve_parameters))
     return image if encoding.response is None else encoding.response.light(image)
 
 

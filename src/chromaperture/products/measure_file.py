@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera
-from chromaperture.capture.exif import read_model, turn_of
+from chromaperture.capture.exif import read_model
+from chromaperture.capture.picture_format import PictureFormat, described
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.depth.pointcloud import PointCloud, depth_to_points
 from chromaperture.errors import CaptureWarning, within_memory
@@ -72,7 +73,12 @@ class MeasuredFile:
     caption: str
     depth_range_mm: tuple[float, float] | None
     seconds: dict[str, float]
-    turn_degrees: int = 0  # clockwise, until the photograph stands upright
+    form: PictureFormat | None = None
+
+    @property
+    def turn_degrees(self) -> int:
+        """By how much the photograph is to be turned, clockwise, to stand upright."""
+        return 0 if self.form is None else self.form.turn_degrees
 
     def write(self, *, made_from: Mapping[str, str] | None = None) -> Written:
         """Write the files, whole or not at all, ``STEM.json`` last; raises InputError where the folder cannot be used.
@@ -91,7 +97,7 @@ class MeasuredFile:
                 )  # fmt: skip
             summary = summarise(frame, self.seconds | clock.seconds)
             summary |= {"image": self.path.name, "max_relative_sigma": self.max_relative_sigma}
-            summary["turn_degrees"] = self.turn_degrees
+            summary |= described(self.form) | {"turn_degrees": self.turn_degrees}
             if made_from is not None:
                 summary["made_from"] = dict(made_from)
             if "json" in self.outputs:
@@ -190,10 +196,10 @@ def measure_only(
     outputs = chosen_outputs(write, is_calibrated=camera.calibration.is_calibrated)
     clock = StageClock(listener)
     with clock("read"), within_memory(path.name):
-        image = camera.read(path, black_level=black_level, white_level=white_level)
+        photograph = camera.photograph(path, black_level=black_level, white_level=white_level)
+        image, form = photograph.image, photograph.form
     _check_model(path, camera)
-    turn = turn_of(path)
-    if turn:
+    if form is not None and form.turn_degrees:
         warnings.warn(
             "a photograph in portrait orientation, or upside down: the results stay as the sensor delivers them, "
             f"like the calibration; turn_degrees in {OUTPUTS['json'].suffix} says how far to turn them clockwise",
@@ -205,7 +211,7 @@ def measure_only(
         frame = camera.measure(image, stage=clock)
     folder = path.parent if out is None else Path(out)
     preview = (caption, depth_range_mm)
-    return MeasuredFile(frame, path, folder, outputs, max_relative_sigma, *preview, clock.seconds, turn)
+    return MeasuredFile(frame, path, folder, outputs, max_relative_sigma, *preview, clock.seconds, form)
 
 
 def _check_model(path: Path, camera: CodedApertureCamera) -> None:

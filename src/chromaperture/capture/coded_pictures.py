@@ -1,0 +1,201 @@
+"""PNG, TIFF, PNM, BMP, JPEG, WebP, AVIF and HEIC files: what they are by their headers, and their colours as stored."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import warnings
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+import cv2
+import numpy as np
+from PIL import Image, JpegImagePlugin
+
+from chromaperture.capture.heif import heif_format, is_heif, read_heif, stored_turn
+from chromaperture.capture.picture_format import LUMA_WEIGHTS, KnownFrom, PictureFormat, StatedFacts
+from chromaperture.capture.picture_header import (
+    PNG_MARK,
+    TIFF_MARKS,
+    check_png_sums,
+    check_size,
+    open_picture,
+    other_kind,
+)
+from chromaperture.capture.tiff import decode_tiff, tiff_header
+from chromaperture.color.color_space import UNTAGGED, ColorSpace
+from chromaperture.color.color_tags import of_exif, of_icc, of_png
+from chromaperture.errors import InputError
+
+if TYPE_CHECKING:
+    import av.container
+
+DeepPng = Callable[[bytes], np.ndarray | None]  # of a 16-bit file; None where it is another kind of PNG
+Counts = tuple[np.ndarray, PictureFormat, float]
+_ORIENTATION, _EXIF_IFD, _COLOR_SPACE, _INTEROP_IFD, _INTEROP_INDEX = 0x0112, 0x8769, 0xA001, 0xA005, 1
+TURNS = {3: 180, 6: 90, 8: 270}  # codes of EXIF's orientation, degrees clockwise; others are mirrored, or upright
+_CODECS = {"JPEG": "mjpeg", "WebP": "webp"}
+
+
+def format_of_data(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
+    """Return what a file is by its header; raises InputError, or what decoders raise on a damaged file."""
+    if is_heif(data):
+        return heif_format(data, name, stated)
+    if data.startswith(TIFF_MARKS):
+        return _tiff_format(data, name)
+    if (other := other_kind(data)) is not None:
+        raise InputError(f"{name} is {other}")
+    picture = open_picture(data)
+    if getattr(picture, "n_frames", 1) > 1 and picture.format != "MPO":
+        raise InputError(f"{name} holds {picture.n_frames} pictures; give one photograph a file")  # type: ignore[attr-defined]
+    if picture.format == "AVIF":
+        with _avif(data, name, stated) as (_, form):
+            return form
+    factors = _factors(picture, data)
+    space = _space_of(picture, data)
+    known: dict[str, KnownFrom] = {
+        "transfer": "default" if space.transfer is None else "tag",
+        "primaries": "default" if space.primaries is None else "tag",
+    }
+    if factors != (1, 1):
+        known["siting"] = "default" if stated.siting is None else "option"
+    turn = TURNS.get(_exif(picture).get(_ORIENTATION, 1), 0)
+    kind = {"WEBP": "WebP", "PPM": "PNM", "MPO": "JPEG"}.get(str(picture.format), str(picture.format))
+    return PictureFormat(
+        kind, picture.size, 16 if _is_deep(data) else 8, factors, stated.siting or "centre",
+        LUMA_WEIGHTS[2] if factors != (1, 1) else None, space=space,
+        full_range=kind != "WebP", turn_degrees=turn, known_from=known,
+    )  # fmt: skip
+
+
+def counts_of_data(data: bytes, form: PictureFormat, name: str, stated: StatedFacts, deep_png: DeepPng) -> Counts:
+    """Return a file's counts, (H, W, S), what it is, and the highest count; raises as `format_of_data`.
+
+    The picture has the size `PictureFormat.read_size_px`. ``deep_png`` may return light in place of counts.
+    """
+    if form.kind == "HEIC":
+        return read_heif(data, name, stated)
+    if form.kind == "AVIF" or form.reduction > 1:
+        from chromaperture.capture.decoded_frame import counts_of_frame, decode_packet  # FFmpeg takes 0.1 s to load
+    if form.kind == "AVIF":
+        with _avif(data, name, stated) as (file, form):
+            counts, white = counts_of_frame(next(file.decode(video=0)), form)
+        return counts, form, white
+    if form.reduction > 1:
+        counts, white = counts_of_frame(decode_packet(_CODECS[form.kind], data), form)
+        return counts, form, white
+    return samples_of_data(data, name, deep_png=deep_png), form, {8: 255.0, 16: 65535.0}.get(form.bits, 1.0)
+
+
+def samples_of_data(
+    data: bytes, name: str, *, check: Callable[[int, int], None] = lambda width, height: None, deep_png: DeepPng
+) -> np.ndarray:
+    """Return the samples of a file that does not subsample chroma, in R, G, B order; raises as `format_of_data`."""
+    if data.startswith(TIFF_MARKS):
+        return decode_tiff(data, name, check=check)
+    picture = open_picture(data)
+    check(*picture.size)
+    if data.startswith(PNG_MARK):
+        check_png_sums(data)
+    else:
+        picture.verify()
+    if not _is_deep(data):
+        picture = open_picture(data)
+        return np.asarray(picture.convert("RGB") if picture.mode in ("P", "RGBA", "YCbCr") else picture)
+    if data.startswith(b"P"):
+        return _deep_pnm(data, picture)
+    if (found := deep_png(data)) is not None:
+        return found
+    counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if counts is None:
+        raise ValueError("a damaged PNG file")
+    # OpenCV stores B, G, R; alpha goes. An index list would leave one plane a channel, which later is copied.
+    if counts.ndim == 3 and counts.shape[2] in (3, 4):
+        return cv2.cvtColor(counts, cv2.COLOR_BGR2RGB if counts.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
+    return counts
+
+
+def _factors(picture: Image.Image, data: bytes) -> tuple[int, int]:
+    """Return columns and rows of luma to one chroma sample."""
+    if picture.format == "WEBP":  # lossless, maybe after a header
+        return (1, 1) if b"VP8L" in data[:64] else (2, 2)
+    if not isinstance(picture, JpegImagePlugin.JpegImageFile):
+        return 1, 1
+    if len(picture.layer) == 4:
+        raise InputError("is in colours for printing (CMYK); export it as RGB")
+    sides = [(across, down) for _, across, down, _ in picture.layer]
+    return (max(sides)[0] // min(sides)[0], max(s[1] for s in sides) // min(s[1] for s in sides))
+
+
+def _space_of(picture: Image.Image, data: bytes) -> ColorSpace:
+    """Return what a picture's tags say of its colours; raises InputError where that cannot be undone."""
+    if data.startswith(PNG_MARK):
+        return of_png(data) or UNTAGGED
+    if profile := picture.info.get("icc_profile"):
+        return of_icc(profile)
+    exif = _exif(picture)  # most cameras state Adobe RGB here, and write no profile
+    color_space, index = exif.get_ifd(_EXIF_IFD).get(_COLOR_SPACE), exif.get_ifd(_INTEROP_IFD).get(_INTEROP_INDEX)
+    return of_exif(color_space, index) or UNTAGGED
+
+
+def _exif(picture: Image.Image) -> Image.Exif:
+    """Return the tags before a picture's pixels, which Pillow would decode to look behind them; empty if damaged."""
+    exif = Image.Exif()
+    with contextlib.suppress(Exception), warnings.catch_warnings():  # Pillow raises anything, and warns of the rest
+        warnings.simplefilter("ignore")
+        exif.load(picture.info.get("exif") or b"")
+    return exif
+
+
+def _tiff_format(data: bytes, name: str) -> PictureFormat:
+    header = tiff_header(data, name)
+    space = UNTAGGED if header.profile is None else of_icc(header.profile)
+    known: dict[str, KnownFrom] = {
+        fact: "default" if header.profile is None else "tag" for fact in ("transfer", "primaries")
+    }
+    return PictureFormat(
+        "TIFF",
+        header.size_px,
+        header.bits,
+        space=space,
+        turn_degrees=TURNS.get(header.orientation, 0),
+        known_from=known,
+    )
+
+
+@contextlib.contextmanager
+def _avif(data: bytes, name: str, stated: StatedFacts) -> Iterator[tuple[av.container.InputContainer, PictureFormat]]:
+    """Open an AVIF file with FFmpeg; its size is Pillow's, for FFmpeg takes a picture made of tiles for the first."""
+    import av
+
+    from chromaperture.capture.decoded_frame import format_of_frame
+
+    picture = open_picture(data)
+    check_size(*picture.size, name, None)
+    profile = picture.info.get("icc_profile")
+    with av.open(io.BytesIO(data), "r", format="mov") as file:
+        context = file.streams.video[0].codec_context
+        context.options = {"err_detect": "explode"}
+        if (context.width, context.height) != picture.size:
+            raise InputError(f"{name} is an AVIF picture made of tiles, which is not read; export it as PNG")
+        space = of_icc(profile) if profile else None
+        turn = stored_turn(data, name)
+        yield file, format_of_frame(context, "AVIF", siting="centre", stated=stated, space=space, turn_degrees=turn)
+
+
+def _is_deep(data: bytes) -> bool:
+    """Recognise PNG and PNM files of more than 8 bits, which Pillow would reduce to 8."""
+    if data.startswith(PNG_MARK):
+        return len(data) > 24 and data[24] == 16
+    if data[:2] in (b"P5", b"P6"):
+        fields = [f for line in data[:512].split(b"\n") for f in line.split(b"#")[0].split()]
+        return len(fields) > 3 and int(fields[3]) > 255
+    return False
+
+
+def _deep_pnm(data: bytes, picture: Image.Image) -> np.ndarray:
+    """Return the samples behind the header; raises ValueError where there are too few."""
+    channels = 3 if data.startswith(b"P6") else 1
+    (width, height), start = picture.size, picture.tile[0].offset  # type: ignore[attr-defined]
+    counts = np.frombuffer(data, ">u2", width * height * channels, start)
+    return counts.astype(np.uint16).reshape(height, width, channels)

@@ -1,0 +1,125 @@
+"""Luma and chroma as a file stores them to R, G and B, without making up chroma between its samples.
+
+A decoder that brings subsampled chroma up to the size of luma takes detail from R and B that luma keeps, and where it
+assumes another siting it moves them: both change the displacement between the channels, which is what is measured, by
+the colour of the object. Here luma is brought down to the places of the chroma samples instead, by the low pass whose
+centre they are; chroma stays untouched, and the picture has one pixel a chroma sample.
+
+References
+----------
+ITU-T H.273 (2024): matrices, ranges and sample locations of chroma (8.7).
+ITU-T T.871 (JFIF): chroma centred among luma, full range, BT.601.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat, Siting
+from chromaperture.threads import each_band
+
+ENCODED_WHITE = 255.0  # of counts that were made from luma and chroma, whatever their bits
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Y', C'b and C'r as stored: (H, W), and (h, w) twice; uint8 or uint16."""
+
+    luma: np.ndarray
+    blue: np.ndarray
+    red: np.ndarray
+
+
+def rgb_of_planes(planes: Planes, form: PictureFormat) -> np.ndarray:
+    """Return R', G', B' at the places of the chroma samples.
+
+    Parameters
+    ----------
+    planes : Planes
+    form : PictureFormat
+        With the factors of the chroma, its siting, matrix, range and bits.
+
+    Returns
+    -------
+    (h, w, 3) float32, from 0 to `ENCODED_WHITE`
+        Still encoded. Where chroma is subsampled along one side only, the other is averaged to the same factor.
+    """
+    width, height = form.read_size_px
+    across, down = form.chroma_factors
+    rest = form.reduction // across, form.reduction // down  # of sides with more chroma samples
+    unit = float(1 << (form.bits - 8))
+    black, luma_span, chroma_span = (0.0, 255.0, 255.0) if form.full_range else (16.0, 219.0, 224.0)
+    if form.full_range:  # of 10 bits, full range ends at 1023, not at 1020
+        luma_span = chroma_span = ((1 << form.bits) - 1) / unit
+    red_weight, blue_weight = form.luma_weights or LUMA_WEIGHTS[2]
+    red_gain, blue_gain = 2 * (1 - red_weight), 2 * (1 - blue_weight)
+    green_weight = 1 - red_weight - blue_weight
+    rgb = np.empty((height, width, 3), np.float32)
+
+    def convert(rows: slice) -> None:
+        luma = _at_sites(planes.luma, rows, form)
+        blue, red = (_mean(plane, rows, rest, width) for plane in (planes.blue, planes.red))
+        luma = (luma / np.float32(unit) - np.float32(black)) * np.float32(255 / luma_span)
+        blue, red = (
+            (part / np.float32(unit) - np.float32(128)) * np.float32(255 / chroma_span) for part in (blue, red)
+        )
+        part = rgb[rows]
+        part[..., 0] = luma + np.float32(red_gain) * red
+        part[..., 2] = luma + np.float32(blue_gain) * blue
+        part[..., 1] = luma - np.float32(red_gain * red_weight / green_weight) * red
+        part[..., 1] -= np.float32(blue_gain * blue_weight / green_weight) * blue
+        np.clip(part, 0, np.float32(ENCODED_WHITE), out=part)
+
+    each_band(convert, height)
+    return rgb
+
+
+def _at_sites(luma: np.ndarray, rows: slice, form: PictureFormat) -> np.ndarray:
+    """Return luma at the chroma samples of some rows of the result; (r, w) float32."""
+    factor, (width, _) = form.reduction, form.read_size_px
+    taps = [_taps(factor if form.chroma_factors[i] > 1 else 1, factor, form.siting, along=i) for i in (0, 1)]
+    columns = _weighted(luma, taps[1], factor, rows.start, rows.stop, axis=0)
+    return _weighted(columns, taps[0], factor, 0, width, axis=1)
+
+
+def _taps(subsampled: int, factor: int, siting: Siting, *, along: int) -> dict[int, float]:
+    """Return weights of luma samples by their offset from the first of a cell: the low pass about the chroma sample.
+
+    A mean of the cell where the sample is in its middle, or where this side's chroma has to be averaged too; where it
+    is at the first luma sample, a mean of as many about that one, the outermost two by half.
+    """
+    cosited = subsampled > 1 and (siting == "top-left" or (siting == "left" and along == 0))
+    if not cosited:
+        return dict.fromkeys(range(factor), 1 / factor)
+    half = factor // 2
+    return {i: (0.5 if abs(i) == half else 1.0) / factor for i in range(-half, half + 1)}
+
+
+def _weighted(
+    values: np.ndarray, taps: dict[int, float], factor: int, first: int, last: int, *, axis: int
+) -> np.ndarray:
+    """Return weighted sums of every cell from ``first`` to ``last`` along an axis; at borders the outermost repeats."""
+    size = values.shape[axis]
+    total: np.ndarray | None = None
+    for offset, weight in taps.items():
+        inside = first * factor + offset >= 0 and (last - 1) * factor + offset < size
+        if inside:
+            at = slice(first * factor + offset, (last - 1) * factor + offset + 1, factor)
+            part = values[at] if axis == 0 else values[:, at]
+        else:
+            part = np.take(values, np.clip(np.arange(first, last) * factor + offset, 0, size - 1), axis=axis)
+        part = part * np.float32(weight)
+        total = part if total is None else np.add(total, part, out=total)
+    assert total is not None
+    return total
+
+
+def _mean(plane: np.ndarray, rows: slice, rest: tuple[int, int], width: int) -> np.ndarray:
+    """Return chroma of some rows of the result, averaged along a side with more samples; (r, w) float32."""
+    across, down = rest
+    if rest == (1, 1):
+        return plane[rows, :width].astype(np.float32)
+    taps = [dict.fromkeys(range(n), 1 / n) for n in (across, down)]
+    return _weighted(_weighted(plane, taps[1], down, rows.start, rows.stop, axis=0), taps[0], across, 0, width, axis=1)

@@ -1,0 +1,169 @@
+"""What a colour file is: how its samples stand for colours, and where each of these facts is known from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, get_args
+
+from chromaperture.color.color_space import UNTAGGED, ColorSpace, Transfer
+from chromaperture.color.encoding import Encoding
+from chromaperture.errors import InputError
+
+Siting = Literal["centre", "left", "top-left"]
+SITINGS: tuple[Siting, ...] = get_args(Siting)
+KnownFrom = Literal["tag", "default", "option"]
+# Columns and rows of luma to one chroma sample (J.143 notation; of 4:1:0 both are 4).
+_FACTORS = {(1, 1): "4:4:4", (2, 1): "4:2:2", (2, 2): "4:2:0", (4, 1): "4:1:1", (1, 2): "4:4:0", (4, 4): "4:1:0"}
+# Weights of R and B in luma by the code of the matrix (ITU-T H.273, table 4); 2, unspecified, is that of JFIF and
+# of video below high definition.
+LUMA_WEIGHTS = {1: (0.2126, 0.0722), 2: (0.299, 0.114), 4: (0.30, 0.11), 5: (0.299, 0.114), 6: (0.299, 0.114),
+                7: (0.212, 0.087), 9: (0.2627, 0.0593)}  # fmt: skip
+LUMA_WEIGHTS[0] = LUMA_WEIGHTS[2]  # what encoders write that do not know it
+SENSOR_LIGHT = ColorSpace("", None, Transfer("linear"))  # of RAW files: light in the sensor's own colours
+FORM = "photograph_format"  # in results, metadata of frames, and the provenance of camera files
+
+
+@dataclass(frozen=True)
+class StatedFacts:
+    """What a person says of files that they do not say themselves; None: nothing.
+
+    Attributes
+    ----------
+    siting : {"centre", "left", "top-left"}, optional
+        Place of a subsampled file's chroma samples among those of luma.
+    primaries : {"srgb"}, optional
+        Of files whose tag is wrong.
+    """
+
+    siting: Siting | None = None
+    primaries: Literal["srgb"] | None = None
+
+    def __post_init__(self) -> None:
+        if self.primaries not in (None, "srgb"):
+            raise InputError(f"unknown primaries {self.primaries!r}: choose srgb, or leave it to the file's tag")
+        if self.siting is not None and self.siting not in SITINGS:
+            raise InputError(f"unknown chroma siting {self.siting!r}: choose {', '.join(SITINGS)}")
+
+
+NOTHING_STATED = StatedFacts()
+
+
+@dataclass(frozen=True)
+class PictureFormat:
+    """What a colour file is.
+
+    Attributes
+    ----------
+    kind : str
+        Of file or codec: JPEG, PNG, HEIC, h264, RAW ...
+    size_px : (int, int)
+        Width and height as stored; an orientation is never applied.
+    bits : int
+        Of a sample.
+    chroma_factors : (int, int)
+        Columns and rows of luma, or of the mosaic, to one colour: (1, 1) has every colour in every pixel.
+    siting : {"centre", "left", "top-left"}
+        Place of the chroma samples; see `native_planes`.
+    luma_weights : (float, float), optional
+        Of R and B in luma; None where R, G and B are stored.
+    full_range : bool
+        Luma from 0 to the highest count; False: from 16 to 235 of 255.
+    space : ColorSpace
+        Transfer and primaries as tagged; None in it where the file says nothing.
+    mosaic : str, optional
+        Of a grey file: colours of the sensor's cells.
+    turn_degrees : int
+        Clockwise, until the picture stands upright.
+    known_from : Mapping
+        Names of the facts above to "tag", "default" or "option".
+    """
+
+    kind: str
+    size_px: tuple[int, int]
+    bits: int
+    chroma_factors: tuple[int, int] = (1, 1)
+    siting: Siting = "centre"
+    luma_weights: tuple[float, float] | None = None
+    full_range: bool = True
+    space: ColorSpace = UNTAGGED
+    mosaic: str | None = None
+    turn_degrees: int = 0
+    known_from: Mapping[str, KnownFrom] = field(default_factory=dict)
+
+    @property
+    def chroma(self) -> str:
+        """Chroma subsampling in its usual notation."""
+        across, down = self.chroma_factors
+        return _FACTORS.get(self.chroma_factors, f"1/{across} x 1/{down}")
+
+    @property
+    def reduction(self) -> int:
+        """How many times fewer columns and rows the picture has once every pixel has colours of its own."""
+        return max(self.chroma_factors)
+
+    @property
+    def read_size_px(self) -> tuple[int, int]:
+        """Width and height of the picture as it is read."""
+        return reduced_sides(self.size_px, self.reduction)
+
+    @property
+    def is_encoded(self) -> bool:
+        """Whether values are not light: tagged so, or not tagged and of 8 bits or stored as luma and chroma."""
+        transfer = self.space.transfer
+        return (self.bits == 8 or self.luma_weights is not None) if transfer is None else transfer.name != "linear"
+
+    def with_stated(self, stated: StatedFacts) -> PictureFormat:
+        """Return the same with what a person says in place of the tag."""
+        if stated.primaries is None:
+            return self
+        space = ColorSpace("sRGB primaries, as stated", None, self.space.transfer)
+        return replace(self, space=space, known_from={**self.known_from, "primaries": "option"})
+
+    def encoding(self, white: float) -> Encoding:
+        """Return how counts up to ``white`` become linear light with the primaries of sRGB; levels are not given."""
+        transfer = self.space.transfer
+        name, parameters = ("srgb" if self.is_encoded else "linear", ()) if transfer is None else transfer
+        return Encoding(0.0, white, name, to_srgb=self.space.to_srgb(), given=False, curve_parameters=parameters)
+
+    def record(self) -> dict[str, Any]:
+        """Return the facts as JSON, for results and camera files."""
+        transfer = self.space.transfer
+        facts = {
+            "kind": self.kind,
+            "size_px": [*self.size_px],
+            "bits": self.bits,
+            "chroma": self.chroma if self.mosaic is None else None,
+            "siting": self.siting if self.reduction > 1 and self.mosaic is None else None,
+            "range": "full" if self.full_range else "limited",
+            "transfer": None
+            if transfer is None
+            else " ".join([transfer.name, *(f"{p:g}" for p in transfer.parameters)]),
+            "primaries": self.space.name or None,
+            "mosaic": self.mosaic,
+            "turn_degrees": self.turn_degrees,
+            "known_from": dict(self.known_from),
+        }
+        return {name: value for name, value in facts.items() if value is not None}
+
+
+def reduced_sides(size_px: tuple[int, int], factor: int) -> tuple[int, int]:
+    """Return width and height, px, of a picture of one pixel a chroma sample: a part of a sample has one, too."""
+    return -(-size_px[0] // factor), -(-size_px[1] // factor)
+
+
+def described(form: PictureFormat | None) -> dict[str, Any]:
+    """Return the metadata of a frame, or of a result: what its file is."""
+    return {} if form is None else {FORM: form.record()}
+
+
+def stated_in(provenance: Mapping[str, Any]) -> StatedFacts:
+    """Return what was said of the files that a camera was calibrated on, by its file's provenance."""
+    record = provenance.get(FORM)
+    if not isinstance(record, Mapping) or not isinstance(known := record.get("known_from"), Mapping):
+        return NOTHING_STATED
+    siting = record.get("siting")
+    return StatedFacts(
+        siting if known.get("siting") == "option" and siting in SITINGS else None,
+        "srgb" if known.get("primaries") == "option" else None,
+    )
