@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import io
 import struct
+from fractions import Fraction
 from functools import cache
 
 import av
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -20,6 +22,7 @@ from chromaperture.capture.files import format_of, image_size
 from chromaperture.capture.native_planes import Planes, rgb_of_planes
 from chromaperture.capture.picture_format import PictureFormat
 from chromaperture.capture.video import VideoSource
+from chromaperture.capture.webcam import Webcam
 from chromaperture.errors import InputError
 
 WIDTH, HEIGHT = 512, 384
@@ -208,6 +211,78 @@ def test_a_file_that_is_cut_off_is_refused(tmp_path, name):
         with pytest.raises(InputError) as caught:
             cap.read_image(path)
         assert "\n" not in str(caught.value)
+
+
+# ---- webcams
+
+
+class FakeWebcam:
+    """What OpenCV hands out of V4L2 without its own conversion: frames of a format that the driver has."""
+
+    kind, data = "YUYV", None
+
+    def __init__(self, *_):
+        self.asked = {}
+
+    def isOpened(self):
+        return True
+
+    def set(self, setting, value):
+        self.asked[setting] = value
+        return True
+
+    def get(self, setting):
+        return float(cv2.VideoWriter.fourcc(*self.kind)) if setting == cv2.CAP_PROP_FOURCC else 0.0
+
+    def read(self):
+        assert self.asked[cv2.CAP_PROP_CONVERT_RGB] == 0
+        return True, self.data
+
+    def release(self):
+        pass
+
+
+def as_delivered(kind, colour):
+    """A frame of the scene in a webcam's format, chroma at every other pixel of a row."""
+    if kind == "NV12":
+        planes = planes_of(colour, (2, 2), "left", full=False)
+        return np.vstack([planes.luma, np.stack([planes.blue, planes.red], 2).reshape(HEIGHT // 2, WIDTH)])
+    planes = planes_of(colour, (2, 1), "left", full=kind == "MJPG")
+    if kind == "MJPG":
+        context = av.CodecContext.create("mjpeg", "w")
+        context.width, context.height, context.pix_fmt, context.time_base = WIDTH, HEIGHT, "yuvj422p", Fraction(1, 30)
+        context.options = {"qscale": "2"}
+        frame = av.VideoFrame(WIDTH, HEIGHT, "yuvj422p")
+        for plane, values in zip(frame.planes, (planes.luma, planes.blue, planes.red), strict=True):
+            rows = np.zeros((HEIGHT, plane.line_size), np.uint8)
+            rows[:, : values.shape[1]] = values
+            plane.update(rows.tobytes())
+        return np.frombuffer(bytes(context.encode(frame)[0]), np.uint8)[None]
+    chroma = np.stack([planes.blue, planes.red], 2).reshape(HEIGHT, WIDTH)
+    return np.stack([planes.luma, chroma] if kind == "YUYV" else [chroma, planes.luma], 2)
+
+
+@pytest.mark.parametrize("kind", ["YUYV", "UYVY", "NV12", "MJPG"])
+def test_colours_of_webcams_are_in_one_place(tmp_path, monkeypatch, kind):
+    monkeypatch.setattr(cv2, "VideoCapture", FakeWebcam)
+    monkeypatch.setattr(FakeWebcam, "kind", kind)
+    (tmp_path / "video0").touch()
+    for colour in (GREY, ORANGE):
+        monkeypatch.setattr(FakeWebcam, "data", as_delivered(kind, colour))
+        frame = Webcam(str(tmp_path / "video0"), pixel_format=kind).read(0)
+        assert frame.counts.shape == (HEIGHT // 2, WIDTH // 2, 3)
+        assert abs(2 * apart_px(frame.image)) < (0.05 if kind == "MJPG" else 0.02)  # see the clips
+        expected = scene(grid((2, 2), (0, 0.5)), colour)
+        assert np.abs(frame.counts / 255 - expected)[2:-2, 2:-2].mean() < 0.005
+
+
+def test_grey_frames_of_a_webcam_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(cv2, "VideoCapture", FakeWebcam)
+    monkeypatch.setattr(FakeWebcam, "kind", "GREY")
+    monkeypatch.setattr(FakeWebcam, "data", np.full((8, 8), 9, np.uint8))
+    (tmp_path / "video0").touch()
+    with pytest.raises(InputError, match="the format GREY, which has no colours"):
+        Webcam(str(tmp_path / "video0")).read(0)
 
 
 # ---- video

@@ -31,17 +31,21 @@ _PACKED = {"yuyv422": (0, 1, 3), "uyvy422": (1, 0, 2), "yvyu422": (0, 3, 1)}  # 
 _UNSPECIFIED = (0, 2)  # H.273; FFmpeg writes 2, 0 is reserved
 
 
+class DamagedError(InputError):
+    """Data that FFmpeg cannot decode."""
+
+
 def decode_packet(codec: str, data: bytes) -> av.VideoFrame:
-    """Decode a file that is one packet of a codec, without looking for a container; raises InputError."""
+    """Decode a file that is one packet of a codec, without looking for a container; raises DamagedError."""
     try:
         context = av.CodecContext.create(codec, "r")
         context.options = {"err_detect": "explode"}  # else what is missing becomes grey
         context.thread_count = 1
         frames = [*context.decode(av.Packet(data)), *context.decode(None)]  # type: ignore[attr-defined]
-    except (av.FFmpegError, ValueError) as error:
-        raise InputError(f"FFmpeg cannot decode it: {error}") from None
+    except av.FFmpegError as error:
+        raise DamagedError(f"FFmpeg cannot decode it ({error.strerror}); copy the file again") from None
     if not frames:
-        raise InputError("it holds no picture")
+        raise DamagedError("it holds no picture; copy the file again")
     return frames[0]
 
 
