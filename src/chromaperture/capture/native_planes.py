@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat, Siting
@@ -44,36 +45,35 @@ def rgb_of_planes(planes: Planes, form: PictureFormat) -> np.ndarray:
     Returns
     -------
     (h, w, 3) float32, from 0 to `ENCODED_WHITE`
-        Still encoded. Where chroma is subsampled along one side only, the other is averaged to the same factor.
+        Still encoded; a little beyond both ends where a codec has rounded. Where chroma is subsampled along one side only, the other is averaged to the same factor.
     """
     width, height = form.read_size_px
     across, down = form.chroma_factors
     rest = form.reduction // across, form.reduction // down  # of sides with more chroma samples
-    unit = float(1 << (form.bits - 8))
-    black, luma_span, chroma_span = (0.0, 255.0, 255.0) if form.full_range else (16.0, 219.0, 224.0)
-    if form.full_range:  # of 10 bits, full range ends at 1023, not at 1020
-        luma_span = chroma_span = ((1 << form.bits) - 1) / unit
-    red_weight, blue_weight = form.luma_weights or LUMA_WEIGHTS[2]
-    red_gain, blue_gain = 2 * (1 - red_weight), 2 * (1 - blue_weight)
-    green_weight = 1 - red_weight - blue_weight
+    matrix = _matrix(form)
     rgb = np.empty((height, width, 3), np.float32)
 
     def convert(rows: slice) -> None:
-        luma = _at_sites(planes.luma, rows, form)
-        blue, red = (_mean(plane, rows, rest, width) for plane in (planes.blue, planes.red))
-        luma = (luma / np.float32(unit) - np.float32(black)) * np.float32(255 / luma_span)
-        blue, red = (
-            (part / np.float32(unit) - np.float32(128)) * np.float32(255 / chroma_span) for part in (blue, red)
-        )
-        part = rgb[rows]
-        part[..., 0] = luma + np.float32(red_gain) * red
-        part[..., 2] = luma + np.float32(blue_gain) * blue
-        part[..., 1] = luma - np.float32(red_gain * red_weight / green_weight) * red
-        part[..., 1] -= np.float32(blue_gain * blue_weight / green_weight) * blue
-        np.clip(part, 0, np.float32(ENCODED_WHITE), out=part)
+        stored = np.empty((rows.stop - rows.start, width, 3), np.float32)
+        stored[..., 0] = _at_sites(planes.luma, rows, form)
+        for i, plane in enumerate((planes.blue, planes.red), start=1):
+            stored[..., i] = _mean(plane, rows, rest, width)
+        cv2.transform(stored, matrix, dst=rgb[rows])
 
     each_band(convert, height)
     return rgb
+
+
+def _matrix(form: PictureFormat) -> np.ndarray:
+    """Return the matrix from stored Y', C'b, C'r and 1 to R', G', B' up to `ENCODED_WHITE`; (3, 4)."""
+    unit, full = float(1 << (form.bits - 8)), float((1 << form.bits) - 1)
+    black, luma_span, chroma_span = (0.0, full, full) if form.full_range else (16 * unit, 219 * unit, 224 * unit)
+    red, blue = form.luma_weights or LUMA_WEIGHTS[2]
+    red_gain, blue_gain, green = 2 * (1 - red), 2 * (1 - blue), 1 - red - blue
+    of_parts = np.array(
+        [[1, 0, red_gain], [1, -blue_gain * blue / green, -red_gain * red / green], [1, blue_gain, 0]]
+    ) * (ENCODED_WHITE / np.array([luma_span, chroma_span, chroma_span]))
+    return np.column_stack([of_parts, -of_parts @ [black, 128 * unit, 128 * unit]])
 
 
 def _at_sites(luma: np.ndarray, rows: slice, form: PictureFormat) -> np.ndarray:
@@ -117,9 +117,9 @@ def _weighted(
 
 
 def _mean(plane: np.ndarray, rows: slice, rest: tuple[int, int], width: int) -> np.ndarray:
-    """Return chroma of some rows of the result, averaged along a side with more samples; (r, w) float32."""
+    """Return chroma of some rows of the result, averaged along a side with more samples; (r, w)."""
     across, down = rest
     if rest == (1, 1):
-        return plane[rows, :width].astype(np.float32)
+        return plane[rows, :width]
     taps = [dict.fromkeys(range(n), 1 / n) for n in (across, down)]
     return _weighted(_weighted(plane, taps[1], down, rows.start, rows.stop, axis=0), taps[0], across, 0, width, axis=1)
