@@ -106,6 +106,7 @@ def operations(dispatch: Dispatch) -> float:
             ((2 * c["cells_each"] + 3) * (102 if views == 2 else 192 + 168) + 2 * c["cells_each"] * 60 * pairs)
             * invocations
         ),
+        "own_sign": lambda: 2 * c["all_layers"] * invocations,
         "label_likelihood": lambda: 4 * 22 * invocations,
         "four_paths": lambda: 9 * c["width"] * c["height"] * c["pitch"],
         "path_winner": lambda: 17 * c["width"] * c["height"] * c["pitch"],

@@ -15,6 +15,7 @@ from chromaperture.disparity import cpu, stages
 from chromaperture.disparity.error_bar import sigma_of_range
 from chromaperture.disparity.estimate import estimate_disparity
 from chromaperture.disparity.labels import IDENTITY, LabelMap, labels_between
+from chromaperture.disparity.stages.correlation import of_own_sign
 from chromaperture.disparity.stages.place import (
     BIAS,
     EDGE_REACH_PX,
@@ -125,6 +126,37 @@ def test_a_bright_spot_does_not_hide_the_texture_of_a_dark_wall():
     views = Views(pictures, np.array([[1.0, 0.0], [-0.5, 0.9], [-0.5, -0.9]]), 0 * even, even)
     score = stages.correlate(views, np.array([0.0]), config=RealTimeConfig().correlation)
     assert score[8:].min() > 0.9  # 0.07 where the floor is 1e-6 of the view's variance
+
+
+@pytest.mark.parametrize("execution", ["numpy", "numba"])
+def test_a_texture_of_two_hues_is_found_where_its_views_are_contrary(execution):
+    """Orange on blue: blue falls where red rises. By positive correlations alone hardly a pixel was right."""
+    image = capture(texture(np.random.default_rng(4), blur_px=2.0), "cy_halves", 1.0)
+    image[..., 2] = image[..., 2].max() + 0.1 - image[..., 2]
+    found = estimate_disparity(image, aperture="cy_halves", config=SMALL, execution=execution).value_px
+    inner = found[MARGIN_PX:-MARGIN_PX, MARGIN_PX:-MARGIN_PX]
+    assert (np.abs(inner - 1.0) < 0.1).mean() > 0.95
+
+
+def test_all_executions_turn_the_signs_of_the_same_cells():
+    rng = np.random.default_rng(3)
+    picture = texture(rng, blur_px=1.0).astype(np.float32)
+    pictures = np.stack([picture, picture + rng.normal(0, 0.05, picture.shape).astype(np.float32)], axis=-1)
+    pictures -= pictures.mean(axis=(0, 1))
+    pictures[:, 60:, 1] *= -1
+    even = np.ones(picture.shape, np.float32)
+    views = Views(pictures, np.array([[1.0, 0.0], [-1.0, 0.0]]), 0 * even, even)
+    layers = np.arange(-4, 4.5, 0.5)  # 17: two vectors and a lane
+    readable, compiled = (run.correlate(views, layers, config=SMALL.correlation) for run in (stages, cpu))
+    assert (readable[:, 34:, 8] > 0.8).mean() > 0.8  # disparity 0, right of the border
+    assert (np.abs(compiled - readable) < 1e-3).all(axis=2).mean() > 0.999  # but for ties
+
+
+def test_a_cell_counts_by_its_strongest_correlation():
+    scores = np.array([[[0.5, -0.9, 0.1], [0.92, -0.9, 0.1], [0.5, -0.7, 0.1], [0.2, 0.9, 0.1]]])
+    expected = scores.copy()
+    expected[0, 0] *= -1  # contrary and clear; then a positive one is stronger, then it is no clearer than noise
+    np.testing.assert_array_equal(of_own_sign(scores), expected)
 
 
 @pytest.mark.parametrize("design", ["cy_halves", "rgb_squares", "cmy_circles"])

@@ -131,7 +131,8 @@ class RealTimeConfig(MatcherConfig):
     space : {"unmixed", "pure", "channels"}
         As `PaperConfig.space`; "channels" are sensor channels for every design, see `disparity.views.channel_space`.
     smoothing_sigma_px : float
-        Reach over which places between the layers are averaged on an even guide; 0 switches the average off.
+        Reach over which places between the layers are averaged on an even guide; 0 switches the average off. Curved
+        things are not even over 50 px, and their error bars were too short; docs/decisions.md compares.
     smoothing_edge_range : float
         Difference of the guide, in units of ``guide_range``, at which a link of that average has fallen to 1/e.
     floor_px : float
@@ -143,9 +144,9 @@ class RealTimeConfig(MatcherConfig):
     space: Literal["unmixed", "pure", "channels"] = "channels"
     correlation: CorrelationConfig = CorrelationConfig(window_decay=0.30, sampling="b-spline", cell_px=2)
     paths: FourPathsConfig = FourPathsConfig()
-    smoothing_sigma_px: float = 50.0
+    smoothing_sigma_px: float = 40.0
     smoothing_edge_range: float = 3.3
-    floor_px: float = 0.035
+    floor_px: float = 0.05
 
     def __post_init__(self) -> None:
         require_space(self.space, "unmixed", "pure", "channels")

@@ -26,6 +26,7 @@ from chromaperture.disparity.cpu.layout import BLOCK, ONE, SCORE_SCALE, ZERO, wh
 from chromaperture.disparity.cpu.workspace import Workspace
 from chromaperture.disparity.stages.correlation import (
     CELL_TAPS,
+    CONTRARY,
     LEAST_PRODUCT,
     SAMPLING,
     SCORE_PARTS,
@@ -46,6 +47,7 @@ _RING = 5  # rows of a window
 _REACH = 2  # px of a window's taps
 _ROUNDER = np.float32(1.5 * 2**23)  # added to a number below 2^22 it leaves a whole one, halves to even
 _LEAST = np.float32(LEAST_PRODUCT)
+_CONTRARY = np.float32(SCORE_PARTS * CONTRARY)
 _TWO, _EIGHT, _NINE, _NINTH = np.float32(2), np.float32(8), np.float32(9), np.float32(1 / 9)
 assert CELL_TAPS == (1, 2, 3, 2, 1)  # written out below
 assert SCORE_PARTS == SCORE_SCALE
@@ -188,7 +190,27 @@ def _score_band(halves, plan, samples, sums, top, bottom, columns, rows, volume)
         for row in range(top, bottom):
             at = (row * slabs + layer // v.LANES) * BLOCK * v.LANES + layer % v.LANES
             for x in range(columns):
-                volume[at + (x // BLOCK) * rows * slabs * BLOCK * v.LANES + (x % BLOCK) * v.LANES] = -SCORE_SCALE
+                volume[at + (x // BLOCK) * rows * slabs * BLOCK * v.LANES + (x % BLOCK) * v.LANES] = 0
+    if count == 2:
+        for row in range(top, bottom):
+            for x in range(columns):
+                at = ((x // BLOCK) * rows + row) * slabs * BLOCK * v.LANES + (x % BLOCK) * v.LANES
+                _count_by_own_sign(volume, at, slabs)
+
+
+@inner
+def _count_by_own_sign(volume, at, slabs):
+    """Turn the signs of a cell's scores where its strongest one is negative, as `stages.correlation.of_own_sign`."""
+    least = v.load_shorts(volume, at)
+    most = least
+    end = at + slabs * BLOCK * v.LANES
+    for i in range(at + BLOCK * v.LANES, end, BLOCK * v.LANES):
+        scores = v.load_shorts(volume, i)
+        least, most = v.smaller(least, scores), v.larger(most, scores)
+    lowest = v.lane(v.least_lane(least), 0)
+    if lowest < -_CONTRARY and lowest < v.lane(v.least_lane(v.sub(v.broadcast(ZERO), most)), 0):
+        for i in range(at, end, BLOCK * v.LANES):
+            v.put_shorts(volume, i, v.sub(v.broadcast(ZERO), v.load_shorts(volume, i)))
 
 
 @inner

@@ -15,7 +15,14 @@ from chromaperture.disparity.gpu.device import Array, Chain
 from chromaperture.disparity.gpu.view_stages import GUIDE_SCALE, SHARED, Planes
 from chromaperture.disparity.gpu.workgroups import groups_for
 from chromaperture.disparity.logarithm import LOGARITHM
-from chromaperture.disparity.stages.correlation import CELL_EPSILON, CELL_TAPS, LEAST_FLOOR, SCORE_PARTS, padding
+from chromaperture.disparity.stages.correlation import (
+    CELL_EPSILON,
+    CELL_TAPS,
+    CONTRARY,
+    LEAST_FLOOR,
+    SCORE_PARTS,
+    padding,
+)
 from chromaperture.disparity.stages.enlarge import JUMP_PX
 from chromaperture.disparity.stages.four_paths import LEAST_DETERMINANT, NAT_PARTS
 from chromaperture.stage_config import CorrelationConfig
@@ -84,6 +91,11 @@ def add_cell_scores(
             first_layer=chunk.first, all_layers=len(layers_px), reach=WINDOW_REACH_PX,
             score_parts=SCORE_PARTS, relative_epsilon=sum(CELL_TAPS) ** 4 * CELL_EPSILON,
             least_floor=sum(CELL_TAPS) ** 4 * LEAST_FLOOR, width=planes.width, pad_x=pad_x, pad_y=pad_y,
+        )  # fmt: skip
+    if not three:
+        chain.add(
+            "own_sign", [score], groups=groups_for(cells.pixels), uses=SHARED,
+            cell_count=cells.pixels, all_layers=len(layers_px), contrary=float(SCORE_PARTS * CONTRARY),
         )  # fmt: skip
     return score
 

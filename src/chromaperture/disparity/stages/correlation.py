@@ -30,10 +30,13 @@ CELL_TAPS = (1, 2, 3, 2, 1)  # of a cell's window along x and along y; docs/meas
 LEAST_FLOOR = 1e-12  # squared units, added to the variance of a cell: an even picture scores 0, too
 LEAST_PRODUCT = np.float32(1e-37)  # of two variances: no division by 0
 SCORE_PARTS = 32000  # of a cell's score: 16 bits with a sign
+CONTRARY = 0.8  # correlation from which on a cell counts negative ones; docs/decisions.md compares
 
 
 def correlate(views: Views, layers_px: np.ndarray, *, config: CorrelationConfig) -> np.ndarray:
     """Score every layer: the correlation of two views, or 1 - sqrt(det) of the correlation matrix of three.
+
+    Cells of two views count by the sign of their strongest correlation, see `of_own_sign`.
 
     Parameters
     ----------
@@ -114,7 +117,20 @@ def _cell_scores(views: Views, layers_px: np.ndarray, config: CorrelationConfig)
             for k, m in view_pairs(view_count)
         ]
         volume.append(rho[0] if view_count == 2 else _three_view_score(*rho))
-    return np.asarray(np.round(np.float32(SCORE_PARTS) * np.stack(volume, axis=-1)) / SCORE_PARTS, float)
+    scores = np.asarray(np.round(np.float32(SCORE_PARTS) * np.stack(volume, axis=-1)) / SCORE_PARTS, float)
+    return of_own_sign(scores) if view_count == 2 else scores
+
+
+def of_own_sign(scores: np.ndarray) -> np.ndarray:
+    """Turn the signs of the scores (H, W, D) of cells whose strongest one is negative.
+
+    Where orange meets blue, one view rises as the other falls: where they agree in depth their correlation is negative,
+    and positive where an edge meets the next one, at a wrong depth. A cell has one sign for all depths, so that the
+    others offer it no second choice. Noise is as often of either sign, but seldom beyond `CONTRARY`. Three views need
+    none of this: their determinant is the same whichever of them is turned.
+    """
+    least, most = scores.min(axis=-1, keepdims=True), scores.max(axis=-1, keepdims=True)
+    return np.where((least < -CONTRARY) & (least < -most), -scores, scores)
 
 
 class _CellWindow(NamedTuple):
