@@ -1,0 +1,253 @@
+"""What the numbers of a picture mean, primaries and curve, and the way from them to linear sRGB.
+
+Pictures are brought to the primaries of sRGB because the colours of film in a camera file are those of one set of
+primaries. What a file states is read in `chromaperture.color.color_tags`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, cast
+
+import numpy as np
+
+from chromaperture.color.srgb import srgb_to_linear
+from chromaperture.errors import InputError
+
+Pair = tuple[float, float]
+Primaries = tuple[Pair, Pair, Pair, Pair]
+
+# How far x and y of a primary may be off those of a known set, once both have the same white. Profiles rounded
+# to 4 decimals are within 6e-5; the two closest sets, BT.601 with 525 lines and EBU Tech 3213, are 15e-3 apart.
+_SAME_XY = 2e-4
+_LEAST_AREA = 1e-3  # of the triangle of the primaries in x, y; that of sRGB has 0.11
+_BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+
+_D65, _D50, _C = (0.3127, 0.3290), (0.3457, 0.3585), (0.310, 0.316)
+SRGB_PRIMARIES: Primaries = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06), _D65)
+ADOBE_RGB_PRIMARIES: Primaries = ((0.64, 0.33), (0.21, 0.71), (0.15, 0.06), _D65)
+_SETS: tuple[tuple[str, Primaries, str], ...] = (  # name, primaries, name of the usual curve
+    ("sRGB", SRGB_PRIMARIES, "srgb"),
+    ("BT.709", SRGB_PRIMARIES, "bt709"),
+    ("Display P3", ((0.68, 0.32), (0.265, 0.69), (0.15, 0.06), _D65), "srgb"),
+    ("DCI-P3", ((0.68, 0.32), (0.265, 0.69), (0.15, 0.06), (0.314, 0.351)), "power"),
+    ("Adobe RGB", ADOBE_RGB_PRIMARIES, "power"),
+    ("ProPhoto RGB", ((0.7347, 0.2653), (0.1596, 0.8404), (0.0366, 0.0001), _D50), "power"),
+    ("BT.2020", ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046), _D65), "bt709"),
+    ("BT.601 (625 lines)", ((0.64, 0.33), (0.29, 0.60), (0.15, 0.06), _D65), "bt709"),
+    ("BT.601 (525 lines)", ((0.630, 0.340), (0.310, 0.595), (0.155, 0.070), _D65), "bt709"),
+    ("BT.470 M", ((0.67, 0.33), (0.21, 0.71), (0.14, 0.08), _C), "power"),
+    ("EBU Tech 3213", ((0.630, 0.340), (0.295, 0.605), (0.155, 0.077), _D65), "bt709"),
+)
+_NOT_STATED = (0, 2)  # of H.273; 0 is reserved, but some writers mean 2 by it
+_PRIMARIES_OF_CODE = {  # H.273, table 2
+    1: "sRGB", 4: "BT.470 M", 5: "BT.601 (625 lines)", 6: "BT.601 (525 lines)", 7: "BT.601 (525 lines)", 9: "BT.2020",
+    11: "DCI-P3", 12: "Display P3", 22: "EBU Tech 3213",
+}  # fmt: skip
+
+
+class Transfer(NamedTuple):
+    """The curve that encoded a picture.
+
+    ``name`` is ``linear``; ``srgb`` (IEC 61966-2-1); ``bt709`` (BT.709, 601 and 2020); ``power`` (one parameter, the
+    exponent that decodes); ``parametric`` (g, a, b, c, d, e, f: ICC.1:2022, 10.18, function type 4); ``table`` (the
+    light at evenly spaced values from 0 to 1); ``hlg`` or ``pq`` (BT.2100).
+    """
+
+    name: str
+    parameters: tuple[float, ...] = ()
+
+
+_TRANSFER_OF_CODE = {  # H.273, table 3
+    **dict.fromkeys((1, 6, 14, 15), Transfer("bt709")),
+    4: Transfer("power", (2.2,)),
+    5: Transfer("power", (2.8,)),
+    8: Transfer("linear"),
+    13: Transfer("srgb"),
+    16: Transfer("pq"),
+    18: Transfer("hlg"),
+}
+_NOT_UNDONE = {7: "SMPTE 240M", 9: "logarithm, 100:1", 10: "logarithm, 316:1", 11: "xvYCC", 12: "BT.1361", 17: "ST 428"}
+
+
+def to_linear(values: np.ndarray, transfer: Transfer) -> np.ndarray:
+    """Undo a curve.
+
+    Parameters
+    ----------
+    values
+        Encoded values in [0, 1], any shape; what lies outside is clipped.
+    transfer
+        The curve.
+
+    Returns
+    -------
+    Linear light in [0, 1], float32, same shape. ``bt709`` and ``hlg`` give light of the scene (inverse OETF: BT.709,
+    item 1.2; BT.2100, table 5), ``pq`` light of the display (EOTF: BT.2100, table 4). For the last two 1 is the diffuse
+    white of BT.2408 (a signal of 0.75; 203 cd/m2): what is brighter counts as saturated.
+    """
+    v = np.clip(np.asarray(values, np.float32), 0, 1)
+    if transfer.name == "srgb":
+        return srgb_to_linear(v)
+    if transfer.name == "bt709":
+        light = np.where(v < 0.081, v / 4.5, ((v + 0.099) / 1.099) ** (1 / 0.45))
+    elif transfer.name == "power":
+        light = v ** transfer.parameters[0]
+    elif transfer.name == "parametric":
+        g, a, b, c, d, e, f = transfer.parameters
+        light = np.where(v >= d, np.maximum(a * v + b, 0) ** g + e, c * v + f)
+    elif transfer.name == "table":
+        light = np.interp(v, np.linspace(0, 1, len(transfer.parameters)), transfer.parameters)
+    elif transfer.name == "hlg":
+        light = _hlg(v) / _hlg(np.float32(0.75))
+    elif transfer.name == "pq":
+        power = v.astype(np.float64) ** (32 / 2523)  # float32 would lose dark values in the difference
+        light = (np.maximum(power - 3424 / 4096, 0) / (2413 / 128 - 2392 / 128 * power)) ** (16384 / 2610) * 1e4 / 203
+    else:
+        light = v
+    return np.clip(light, 0, 1).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class ColorSpace:
+    """Primaries and curve of a picture's numbers.
+
+    Attributes
+    ----------
+    name
+        For people, such as "Display P3".
+    primaries
+        CIE x, y of red, green, blue and white; None where they are not stated.
+    transfer
+        The curve; None where it is not stated.
+    """
+
+    name: str
+    primaries: Primaries | None
+    transfer: Transfer | None
+
+    def to_srgb(self) -> tuple[float, ...] | None:
+        """Matrix from linear light in these primaries to linear sRGB.
+
+        Whites are brought together by Bradford's transform (ICC.1:2022, annex E), so neutral colours stay neutral.
+
+        Returns
+        -------
+        Nine numbers, row by row. None where no matrix is needed: primaries are not stated, or are those of sRGB to
+        2e-4 in x and y, by which no value changes by more than 0.3 % of full scale, and no neutral one.
+        """
+        if self.primaries is None or _known(self.primaries) == SRGB_PRIMARIES:
+            return None
+        matrix = np.linalg.solve(_xyz(SRGB_PRIMARIES), _adapted(_xyz(self.primaries), self.primaries[3], _D65))
+        return tuple(float(value) for value in matrix.flat)
+
+
+def of_codes(primaries: int, transfer: int) -> ColorSpace:
+    """Colour space by the codes of ITU-T H.273 (tables 2 and 3), as in cICP, nclx and video streams.
+
+    Parameters
+    ----------
+    primaries, transfer
+        ColourPrimaries and TransferCharacteristics; 2 and 0 are "not stated".
+
+    Raises
+    ------
+    InputError
+        A curve that is not undone (logarithms, xvYCC, ST 428 and others), or primaries that are not read.
+    """
+    if transfer not in _NOT_STATED and transfer not in _TRANSFER_OF_CODE:
+        what = _NOT_UNDONE.get(transfer, "unknown")
+        raise InputError(f"the curve (H.273 code {transfer}, {what}) is not undone: export the file as sRGB")
+    if primaries not in _NOT_STATED and primaries not in _PRIMARIES_OF_CODE:
+        raise InputError(f"the primaries (H.273 code {primaries}) are not read: export the file as sRGB")
+    stated = {name: values for name, values, _ in _SETS}.get(_PRIMARIES_OF_CODE.get(primaries, ""))
+    return of_values(stated, _TRANSFER_OF_CODE.get(transfer))
+
+
+def of_values(
+    primaries: Sequence[Pair] | None, transfer: Transfer | None, other: str = "other primaries"
+) -> ColorSpace:
+    """Colour space by its values, with a name.
+
+    Parameters
+    ----------
+    primaries
+        CIE x, y of red, green, blue and white, or None. Those of a known set to 2e-4, as they are or adapted to
+        another white by Bradford's transform (in ICC profiles D50), become that set's own.
+    transfer
+        The curve, or None.
+    other
+        What primaries of no known set are called.
+
+    Raises
+    ------
+    InputError
+        The primaries lie on one line, or white is not inside of them.
+    """
+    if primaries is None:
+        return ColorSpace(name_of(None, transfer), None, transfer)
+    corners = _corners(primaries)
+    area, white = abs(np.linalg.det(corners[:, :3])) / 2, corners[:, 3]
+    if area < _LEAST_AREA or np.linalg.solve(corners[:, :3], white).min() <= 0 or (_BRADFORD @ white).min() <= 0:
+        raise InputError("the file states impossible primaries: export the file as sRGB")
+    pairs = cast("Primaries", tuple(primaries))
+    pairs = _known(pairs) or pairs
+    return ColorSpace(name_of(pairs, transfer, other), pairs, transfer)
+
+
+def name_of(primaries: Primaries | None, transfer: Transfer | None, other: str = "other primaries") -> str:
+    """Name of primaries with a curve, for people.
+
+    Parameters
+    ----------
+    primaries, transfer
+        As in `ColorSpace`.
+    other
+        What primaries of no known set are called.
+
+    Returns
+    -------
+    Such as "Display P3"; "BT.2020, HLG", where the curve is not the usual one of these primaries.
+    """
+    known = primaries and _known(primaries)
+    if primaries and not known:
+        return other
+    usual = {curve: name for name, values, curve in _SETS if values == known}
+    name = next(iter(usual.values()), "primaries not stated")
+    if transfer is None:
+        return name
+    words = {"linear": "linear", "srgb": "sRGB curve", "bt709": "BT.709 curve", "hlg": "HLG", "pq": "PQ"}
+    if transfer.name == "power":
+        words["power"] = f"gamma {transfer.parameters[0]:.4g}"
+    return usual.get(transfer.name, f"{name}, {words.get(transfer.name, 'own curve')}")
+
+
+def _known(primaries: Primaries) -> Primaries | None:
+    """Look for the known set that has these primaries, once it is adapted to their white."""
+    for _, values, _ in _SETS:
+        xyz = _adapted(_xyz(values), values[3], primaries[3])
+        with np.errstate(all="ignore"):  # whites far from all light
+            if np.abs((xyz[:2] / xyz.sum(axis=0)).T - primaries[:3]).max() < _SAME_XY:
+                return values
+    return None
+
+
+def _corners(primaries: Sequence[Pair]) -> np.ndarray:
+    return np.array([(x, y, 1 - x - y) for x, y in primaries]).T
+
+
+def _xyz(primaries: Primaries) -> np.ndarray:
+    """Columns are X, Y, Z of the primaries; together they have the white's, with Y = 1."""
+    corners = _corners(primaries)
+    return corners[:, :3] * np.linalg.solve(corners[:, :3], corners[:, 3]) / primaries[3][1]
+
+
+def _adapted(xyz: np.ndarray, white: Pair, other: Pair) -> np.ndarray:
+    """Adapt columns of X, Y, Z from one white to another."""
+    before, after = (_BRADFORD @ (x / y, 1, (1 - x - y) / y) for x, y in (white, other))
+    return np.linalg.solve(_BRADFORD, (_BRADFORD @ xyz) * (after / before)[:, None])
+
+
+def _hlg(v: np.ndarray | np.float32) -> np.ndarray:
+    return np.where(v <= 0.5, v * v / 3, (np.exp((v - 0.55991073) / 0.17883277) + 0.28466892) / 12)
