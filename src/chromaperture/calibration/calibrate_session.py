@@ -131,7 +131,10 @@ def calibrate_session(
     steps = _Steps(session, config, tone_notes, sheets, pinhole, placed, evidence, curves, blurred)
     depth = {**with_accurate(curves, draft.design), "accurate": blurred.camera.depth["accurate"]}
     depth = {quality: with_scale_error(curve, steps.tone) for quality, curve in depth.items()}
-    made_from = origin(session.folder, steps.files, config, command=command, lens_from=lens_from, form=session.form)
+    made_from = origin(
+        session.folder, steps.files, config, command=command, lens_from=lens_from, form=session.form,
+        developed=sheets.developed,
+    )  # fmt: skip
     camera = assemble_camera(
         session, sheets, placed.intrinsics, depth, config, blur=blurred.camera.blur, channel_moves_px=moves,
         provenance=made_from | steps.figures,

@@ -30,6 +30,7 @@ def origin(
     command: str | None,
     lens_from: Calibration | None,
     form: PictureFormat | None = None,
+    developed: bool | None = None,
 ) -> dict[str, Any]:
     """Record what a calibration was made from.
 
@@ -46,14 +47,16 @@ def origin(
         The camera that the lens was taken from.
     form : PictureFormat, optional
         Of the photographs.
+    developed : bool, optional
+        Whether a colour matrix was applied to the photographs.
 
     Returns
     -------
     dict of str to plain values
-        ``command`` is absent without one, ``camera_model`` where no photograph names it; ``files`` are SHA-256 hashes
-        by name.
+        ``command`` is absent without one, ``camera_model`` where no photograph names it, ``developed`` where nothing
+        tells; ``files`` are SHA-256 hashes by name.
     """
-    made = described(form) | ({} if command is None else {"command": command})
+    made: dict[str, Any] = described(form) | ({} if command is None else {"command": command})
     lens = None
     if lens_from is not None:
         lens = {"design": lens_from.design, "date": lens_from.provenance.get("date"),
@@ -62,6 +65,8 @@ def origin(
     model = next(filter(None, map(read_model, filter(is_photograph, files))), None)
     if model is not None:
         made["camera_model"] = model
+    if developed is not None:
+        made["developed"] = developed
     return made | {
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "versions": {

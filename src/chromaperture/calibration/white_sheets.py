@@ -12,6 +12,7 @@ import numpy as np
 
 from chromaperture.calibration.session import SHEETS, Session
 from chromaperture.camera_parts import CameraSensor, Film
+from chromaperture.capture.developed import UNMIXED, is_developed
 from chromaperture.capture.exif import read_noise_profile
 from chromaperture.color.film import completed_film
 from chromaperture.color.noise import fit_photon_noise, noise_samples, photon_noise_of_sheets
@@ -22,6 +23,9 @@ from chromaperture.optics.aperture import channel_transmission, design_named
 _NOISE_BOARDS = 8  # boards that the noise is fitted to where there is no sheet: more were not needed; chosen by hand
 _MOST_TRANSMISSION = 1.15  # of a film in a channel: 1, and uneven light; chosen by hand
 _DARKEST = 1e-3  # of the white level: least colour of white light through the aperture, which colours are divided by
+# Light of a channel through film, over that of the brightest: in camera colours some .05 at least (film that is sold).
+# Simulated matrices take red behind cyan film below zero, to -.03 to -.46, where a file ends.
+_CUT_OFF = 0.002
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,7 @@ class WhiteSheets:
     sensor: CameraSensor  # the session's, with its noise where that could be found
     files: tuple[Path, ...]  # sheets that were read
     notes: tuple[str, ...]
+    developed: bool | None = None  # whether a colour matrix was applied to the photographs; None where nothing tells
 
 
 def measure_white_sheets(session: Session) -> WhiteSheets:
@@ -42,7 +47,25 @@ def measure_white_sheets(session: Session) -> WhiteSheets:
     stems = {"open", session.design, *(SHEETS.get(name, "") for name in film.filters)}
     known = session.sensor.full_well_electrons is not None and session.sensor.read_noise_electrons is not None
     files = tuple(path for name, path in session.sheets.items() if name in stems or not known)
-    return WhiteSheets(film, sensor, files, (*noise_notes, *film_notes))
+    developed, matrix_notes = _colour_matrix(session)
+    return WhiteSheets(film, sensor, files, (*noise_notes, *film_notes, *matrix_notes), developed)
+
+
+def _colour_matrix(session: Session) -> tuple[bool | None, list[str]]:
+    """Tell whether a colour matrix was applied to the photographs, by their tags or by colours cut off; and notes."""
+    developed = next(map(is_developed, session.boards), None)
+    what = "the photographs are a camera's JPEG files or name a colour profile: a colour matrix was applied to them"
+    if developed is None and session.sensor.black_level == 0:  # else values below black are there, and zero is no end
+        plain = dataclasses.replace(session, sensor=dataclasses.replace(session.sensor, response=None))
+        sheets = {name: plain.white(SHEETS.get(name, "")) for name in design_named(session.design).views}
+        cut = [name for name, sheet in sheets.items() if sheet is not None and sheet.min() < _CUT_OFF * sheet.max()]
+        what = f"a channel has no light behind {' and '.join(cut)} film, as where a colour matrix took it below zero"
+        developed = True if cut else None
+    advice = (
+        "parallax comes out too large, by the colour of the object, which the error bar does not know: measure files "
+        f"of the same kind only; better take RAW files, or develop them with {UNMIXED}"
+    )
+    return developed, [f"{what}; {advice}"] if developed else []
 
 
 def _film(session: Session) -> tuple[Film, list[str]]:

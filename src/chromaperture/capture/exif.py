@@ -15,7 +15,7 @@ from PIL import Image
 from chromaperture.capture.picture_header import TIFF_MARKS, open_picture
 from chromaperture.validation import MOST_FILE_BYTES, read_bytes
 
-_JPEG = b"\xff\xd8"  # the first bytes of the file
+JPEG_MARK = b"\xff\xd8"  # the first bytes of the file
 # Tags of the EXIF standard.
 _EXIF_IFD = 0x8769
 _MODEL, _NOISE_PROFILE = 0x0110, 51041
@@ -65,7 +65,7 @@ def read_exposure(path: str | Path) -> float | None:
 
 def read_model(path: str | Path) -> str | None:
     """Read the camera's name from a photograph, RAW files of TIFF's form (DNG, CR2, NEF, ARW) too; None if absent."""
-    name = str(_tag(path, _MODEL) or "").strip("\0 ")
+    name = str(read_tag(path, _MODEL) or "").strip("\0 ")
     return name or None
 
 
@@ -79,7 +79,7 @@ def read_noise_profile(path: str | Path) -> tuple[float, float] | None:
     slope, offset : float
         None where the file has no such tag, or one that makes no sense.
     """
-    values = _tag(path, _NOISE_PROFILE)
+    values = read_tag(path, _NOISE_PROFILE)
     if values is None or np.size(values) < 2 or np.size(values) % 2:
         return None
     pairs = np.reshape(np.asarray(values, float), (-1, 2))
@@ -88,7 +88,7 @@ def read_noise_profile(path: str | Path) -> tuple[float, float] | None:
     return (float(slope), float(offset)) if valid else None
 
 
-def _tag(path: str | Path, code: int) -> Any:
+def read_tag(path: str | Path, code: int) -> Any:
     """Return a tag of a TIFF or JPEG file, of others without decoding their pixels; None where there is none."""
     try:
         with open(path, "rb") as file:
@@ -99,7 +99,7 @@ def _tag(path: str | Path, code: int) -> Any:
                 # A DNG's mosaic may lie behind a small picture, with tags of its own.
                 found = (page.tags.get(code) for page in (first, *(first.pages or ())))
                 return next((tag.value for tag in found if tag is not None), None)
-        return _header(path).get(code) if begin.startswith(_JPEG) else None
+        return _header(path).get(code) if begin.startswith(JPEG_MARK) else None
     except Exception:  # decoders raise anything; errors of the picture itself are reported by `read_image`
         return None
 

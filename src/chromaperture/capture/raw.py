@@ -61,7 +61,7 @@ def read_raw(path: Path, *, size_px: tuple[int, int] | None = None) -> tuple[np.
         if layout is None or layout.shape != (2, 2) or raw.raw_image_visible.ndim != 2:
             raise InputError(
                 f"{path.name} has no Bayer mosaic (X-Trans, Foveon or already developed); "
-                "develop it to a linear 16-bit TIFF without sharpening"
+                "develop it with 'dcraw -4 -q 0 -o 0 -r 1 1 1 1 -T FILE' (linear, camera colours, unmixed)"
             )
         # The pattern begins at the sensor's corner, the picture behind a masked border: perhaps an odd pixel away.
         top, left = raw.sizes.top_margin, raw.sizes.left_margin

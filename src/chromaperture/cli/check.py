@@ -38,6 +38,7 @@ def check(
 
     from chromaperture.camera import load_camera
     from chromaperture.camera_parts import Board
+    from chromaperture.capture.developed import other_colours
     from chromaperture.capture.exif import read_exif
     from chromaperture.cli.console import out as console
     from chromaperture.cli.console import print_json, table
@@ -58,6 +59,10 @@ def check(
         for w in caught
         if issubclass(w.category, CaptureWarning)
     ] or [Check("file", "ok", "no loss of colour resolution or levels was found")]
+    differs = other_colours(photo, eye.calibration.provenance)
+    if differs:
+        finding, _, advice = differs.partition("; ")
+        file_checks.append(Check("colours", "warn", finding, advice))
     checks = file_checks + check_camera(image, eye.calibration, board=target, exif=read_exif(photo))
     code = outcome(checks)
     verdict = (

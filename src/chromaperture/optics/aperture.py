@@ -86,13 +86,14 @@ class Aperture:
         Parameters
         ----------
         film : mapping of str to (3,) float
-            Transmission in R, G, B by the filter's name; other filters stay.
+            Transmission in R, G, B by the filter's name; other filters stay. Measured ones may lie somewhat outside 0
+            to 1, by uneven light or a colour matrix; here they end there.
         """
 
         def swap(part: SubAperture) -> SubAperture:
             if part.filter.name not in film:
                 return part
-            red, green, blue = (float(t) for t in film[part.filter.name])
+            red, green, blue = (float(t) for t in np.clip(film[part.filter.name], 0, 1))
             return replace(part, filter=Filter(part.filter.name, (red, green, blue)))
 
         return replace(self, parts=tuple(map(swap, self.parts)))

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera
+from chromaperture.capture.developed import other_colours
 from chromaperture.capture.exif import read_model
 from chromaperture.capture.picture_format import PictureFormat, described
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
@@ -215,7 +216,7 @@ def measure_only(
 
 
 def _check_model(path: Path, camera: CodedApertureCamera) -> None:
-    """Warn of a photograph that names another camera than the calibration's photographs did."""
+    """Warn of a photograph of another camera than the calibration's photographs, or in other colours."""
     calibrated = camera.calibration.provenance.get("camera_model")
     model = read_model(path) if calibrated else None
     if model and model != calibrated:
@@ -225,6 +226,9 @@ def _check_model(path: Path, camera: CodedApertureCamera) -> None:
             CaptureWarning,
             stacklevel=4,
         )
+    differs = other_colours(path, camera.calibration.provenance)
+    if differs:
+        warnings.warn(differs, CaptureWarning, stacklevel=4)
 
 
 def _size(path: Path, pixels: np.ndarray) -> str:
