@@ -257,7 +257,7 @@ class CodedApertureCamera:
         size_px = self._frame_px if self.config.crop_origin_px is None else None
         return read_light(
             path, size_px=size_px, any_scale=is_known, black_level=black_level, white_level=white_level,
-            camera_encoding=encoding,
+            camera_encoding=encoding, mosaic=self.calibration.sensor.mosaic,
         )  # fmt: skip
 
     def shows_frame_at(self, size_px: tuple[int, int]) -> bool:

@@ -25,12 +25,13 @@ class CameraSensor:
     read_noise_electrons: float | None = None
     curve: Literal["linear", "srgb"] = "linear"
     response: tuple[float, ...] | None = None  # exponents of a `ResponseCurve`; None: values are light
+    mosaic: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None  # Bayer pattern of its grey files
 
     @property
     def encoding(self) -> Encoding:
         """How the photographs that the camera was calibrated on are decoded."""
         response = None if self.response is None else ResponseCurve(self.response)
-        return Encoding(self.black_level, self.white_level, self.curve, response=response)
+        return Encoding(self.black_level, self.white_level, self.curve, response=response, mosaic=self.mosaic)
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,7 @@ class SensorTable(CameraTable):
     read_noise_electrons: NotNegative | None
     curve: Literal["linear", "srgb"] = "linear"
     response: Annotated[tuple[Exponent, ...], Field(min_length=2, max_length=100)] | None = None
+    mosaic: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
 
 
 class LensTable(CameraTable):

@@ -8,10 +8,11 @@ from __future__ import annotations
 import csv
 import math
 import os
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -19,11 +20,12 @@ from pydantic import Field
 from chromaperture.calibration.board_distances import check_units
 from chromaperture.camera_parts import CameraSensor
 from chromaperture.camera_scale import LEAST_SIDE_PX, SCALES, reduced_size, resized_sensor
-from chromaperture.capture.files import decode, has_8_bits, image_size, linearise, photographs
+from chromaperture.capture.files import decode, has_8_bits, image_size, linearise
 from chromaperture.color.image import is_saturated
 from chromaperture.disparity.working_scale import reduced
-from chromaperture.errors import InputError
+from chromaperture.errors import CaptureWarning, InputError
 from chromaperture.optics.aperture import DESIGNS, design_named
+from chromaperture.shots import counted, photographs
 from chromaperture.validation import (
     LARGEST_SIDE,
     Name,
@@ -82,13 +84,14 @@ class Session:
     def read(self, path: Path) -> np.ndarray:
         """Read one photograph of the session as linear light, at the size of `sensor`; (H, W, 3) float32."""
         expected = self.photograph_size_px
-        width, height = image_size(path)
+        width, height = image_size(path, mosaic=self.sensor.mosaic)
         if (width, height) != expected:
             raise InputError(
                 f"{path.name} is {width}x{height} px but session.toml says "
                 f"{expected[0]}x{expected[1]}; correct session.toml or the photograph"
             )
-        image = linearise(decode(path, size_px=expected), camera_encoding=self.sensor.encoding)  # as `depth` reads
+        decoded = decode(path, size_px=expected, mosaic=self.sensor.mosaic)
+        image = linearise(decoded, camera_encoding=self.sensor.encoding)  # as `depth` reads
         working = (self.sensor.width_px, self.sensor.height_px)
         if working == expected:
             return image
@@ -105,7 +108,8 @@ class Session:
         """Photographs of white sheets by name; those in the session's folder replace those beside it."""
         folders = (self.folder.parent / "white", self.folder / "white")
         names = {"open", *DESIGNS, *SHEETS.values()}
-        return {path.stem: path for folder in folders for path in photographs(folder) if path.stem in names}
+        kind = _kind(self.boards)
+        return {path.stem: path for folder in folders for path in photographs(folder, kind)[0] if path.stem in names}
 
     def white(self, name: str) -> np.ndarray | None:
         """Return the mean colour of the middle of a white sheet; (3,) float64, None where there is no photograph.
@@ -140,9 +144,17 @@ def read_session(folder: str | Path) -> Session:
     full = CameraSensor(**table.sensor.model_dump(exclude={"linear", "tone_error"}))
     first = next(iter(boards), None)
     if first is not None and full.white_level > 255 and has_8_bits(first):  # which cannot hold such levels
-        full = replace(full, black_level=0.0, white_level=255.0, curve="srgb")
+        full = replace(full, black_level=0.0, white_level=255.0, curve="srgb" if full.mosaic is None else "linear")
     size = (full.width_px, full.height_px)
     sensor = resized_sensor(full, *reduced_size(size, _scale(full, table.lens, boards)))
+    tilts, left_out = photographs(folder / "tilt", _kind(boards))
+    left_out |= photographs(folder / "white", _kind(boards))[1]
+    if left_out:
+        warnings.warn(
+            f"left out of tilt/ and white/, as distances.csv names {_kind(boards)} files: {counted(left_out)}",
+            CaptureWarning,
+            stacklevel=2,
+        )
     check_units(np.array([*boards.values()]), table.lens.focused_at_about_mm, where=str(folder / "distances.csv"))
     return Session(
         folder=folder,
@@ -155,10 +167,15 @@ def read_session(folder: str | Path) -> Session:
         square_mm=table.board.square_mm,
         ruler_error_mm=table.board.ruler_error_mm,
         boards=boards,
-        tilts=tuple(photographs(folder / "tilt")),
+        tilts=tuple(tilts),
         full_size_px=size,
         tone_error=table.sensor.tone_error,
     )
+
+
+def _kind(boards: Iterable[Path]) -> str:
+    """Return the suffix of the photographs of a session."""
+    return next((path.suffix.lower() for path in boards), "")
 
 
 def _scale(sensor: CameraSensor, lens: _LensTable, boards: Mapping[Path, float]) -> int:
@@ -189,6 +206,7 @@ class _SensorTable(Table):
     pixel_pitch_mm: _Length
     black_level: NotNegative = 0.0
     white_level: NotNegative = 65535.0
+    mosaic: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
     full_well_electrons: Positive | None = None
     read_noise_electrons: NotNegative | None = None
     linear: bool = True  # for people; counts are always taken as linear

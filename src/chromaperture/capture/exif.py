@@ -12,7 +12,7 @@ import numpy as np
 import tifffile
 from PIL import Image
 
-from chromaperture.capture.files import is_raw
+from chromaperture.capture.files import opens_as_raw
 from chromaperture.capture.picture_header import TIFF_MARKS, open_picture
 from chromaperture.validation import MOST_FILE_BYTES, read_bytes
 
@@ -92,7 +92,7 @@ def read_noise_profile(path: str | Path) -> tuple[float, float] | None:
 
 def turn_of(path: str | Path) -> int:
     """Return by how many degrees, clockwise, a photograph is to be turned to stand upright: 0, 90, 180 or 270."""
-    if not is_raw(Path(path)):
+    if not opens_as_raw(Path(path)):
         return _TURNS.get(_tag(path, _ORIENTATION), 0)
     from chromaperture.capture.raw import raw_turn
 

@@ -6,16 +6,16 @@ no white balance, because superposition of the views needs the sensor's own scal
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 from PIL import Image, JpegImagePlugin
 
+from chromaperture.capture.bayer import check_not_quad, superpixels
 from chromaperture.capture.picture_header import (
     PNG_MARK,
     TIFF_MARKS,
@@ -24,14 +24,14 @@ from chromaperture.capture.picture_header import (
     open_picture,
     same_frame,
 )
+from chromaperture.capture.raw_container import holds_raw
 from chromaperture.capture.source import choose_encoding
 from chromaperture.capture.tiff import decode_tiff, tiff_bits, tiff_size
 from chromaperture.color.encoding import Encoding, develop_counts, format_encoding
 from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.shots import is_raw
 from chromaperture.validation import MOST_FILE_BYTES, read_bytes
 
-_RAW_SUFFIXES = {".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2"}
-_PICTURES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".ppm", ".bmp", ".webp"}
 _MOST_SATURATED = 0.98  # fraction of the pixels at one largest count; as in `check_capture`
 _SPARSE = 61  # rows and columns: a colour picture is hardly ever grey at all of their crossings
 _SUBSAMPLED = {1: "4:2:2", 2: "4:2:0"}  # Pillow's codes of JPEG chroma subsampling
@@ -61,15 +61,9 @@ def read_light(
     black_level: float | None = None,
     white_level: float | None = None,
     camera_encoding: Encoding | None = None,
+    mosaic: str | None = None,
 ) -> np.ndarray:
-    """`decode`, then `linearise`; counts of large files of 16 bit are not kept where their levels are known before.
-
-    Parameters, errors and warnings are theirs.
-
-    Returns
-    -------
-    (H, W, 3) float32, linear RGB
-    """
+    """`decode`, then `linearise`; counts of large files of 16 bit are not kept where their levels are known before."""
     path, levels = Path(path), {"black_level": black_level, "white_level": white_level}
     light: list[np.ndarray] = []
 
@@ -85,8 +79,10 @@ def read_light(
         light.extend([] if image is None else [image])
         return image
 
-    if camera_encoding is None or is_raw(path):  # the counts may say that a white level is wrong which nobody gave
-        decoded = decode(path, size_px=size_px, any_scale=any_scale)
+    mosaic = mosaic or (camera_encoding.mosaic if camera_encoding else None)
+    if camera_encoding is None or mosaic is not None or opens_as_raw(path):
+        # The counts may say that a white level is wrong which nobody gave.
+        decoded = decode(path, size_px=size_px, any_scale=any_scale, mosaic=mosaic)
     else:
         decoded = Decoded(_colour(_decode(path, size_px, any_scale, deep_png), path))
     return light[0] if light else linearise(decoded, **levels, camera_encoding=camera_encoding)
@@ -98,6 +94,7 @@ def read_image(
     black_level: float | None = None,
     white_level: float | None = None,
     size_px: tuple[int, int] | None = None,
+    mosaic: str | None = None,
 ) -> np.ndarray:
     """Read a photograph as linear light: `decode`, then `linearise`.
 
@@ -114,6 +111,8 @@ def read_image(
     size_px : (int, int), optional
         Width and height of the camera: a file of another size is refused before it is decoded. Without it, files of
         more than `validation.MOST_PIXELS` are.
+    mosaic : {"RGGB", "BGGR", "GRBG", "GBRG"}, optional
+        Grey files are such a mosaic of a Bayer sensor and read like RAW; levels are those of the mosaic.
 
     Returns
     -------
@@ -129,7 +128,8 @@ def read_image(
     CaptureWarning
         Chroma subsampling has halved the resolution of the measured signal, or the levels look wrong.
     """
-    return linearise(decode(path, size_px=size_px), black_level=black_level, white_level=white_level)
+    decoded = decode(path, size_px=size_px, mosaic=mosaic)
+    return linearise(decoded, black_level=black_level, white_level=white_level)
 
 
 def linearise(
@@ -150,9 +150,10 @@ def read_counts(
     black_level: float | None = None,
     white_level: float | None = None,
     camera_encoding: Encoding | None = None,
+    mosaic: str | None = None,
 ) -> tuple[np.ndarray, Encoding]:
     """Read a photograph as stored, (H, W, 3), and how to convert it to linear light; see `choose_encoding`."""
-    decoded = decode(path)
+    decoded = decode(path, mosaic=mosaic or (camera_encoding.mosaic if camera_encoding else None))
     levels = {"black_level": black_level, "white_level": white_level}
     return decoded.array, encoding_of(decoded, **levels, camera_encoding=camera_encoding)
 
@@ -170,26 +171,17 @@ def encoding_of(
     return choose_encoding(own, decoded.array, **levels, camera_encoding=camera_encoding)
 
 
-def photographs(folder: Path) -> list[Path]:
-    """List the files of a folder that can be read as photographs, by name; none where there is no such folder."""
-    found = folder.iterdir() if os.path.isdir(folder) else ()
-    return sorted(path for path in found if is_photograph(path))
+def opens_as_raw(path: Path) -> bool:
+    """Recognise a camera's RAW file by its name, or its content."""
+    return is_raw(path) or holds_raw(path)
 
 
-def is_photograph(path: Path) -> bool:
-    """Recognise a file that can be read as a photograph by its name."""
-    return path.suffix.lower() in _PICTURES or is_raw(path)
-
-
-def is_raw(path: Path) -> bool:
-    """Recognise a camera's RAW file by its name."""
-    return path.suffix.lower() in _RAW_SUFFIXES
-
-
-def image_size(path: str | Path) -> tuple[int, int]:
+def image_size(path: str | Path, *, mosaic: str | None = None) -> tuple[int, int]:
     """Return width and height of an image file, px, from its header; raises InputError like `read_image`."""
     path = Path(path)
-    if is_raw(path):
+    if (sites := _sites_px(path, mosaic)) is not None:
+        return sites[0] // 2, sites[1] // 2
+    if opens_as_raw(path):
         from chromaperture.capture.raw import raw_size
 
         return raw_size(path)
@@ -206,7 +198,7 @@ def image_size(path: str | Path) -> tuple[int, int]:
 
 def has_8_bits(path: Path) -> bool:
     """Recognise a picture whose samples have 8 bits by its header; False where there is none, as reading will say."""
-    if is_raw(path):
+    if opens_as_raw(path):
         return False
     try:
         data = _read(path)
@@ -215,20 +207,31 @@ def has_8_bits(path: Path) -> bool:
         return False
 
 
-def decode(path: str | Path, *, size_px: tuple[int, int] | None = None, any_scale: bool = False) -> Decoded:
+def decode(
+    path: str | Path, *, size_px: tuple[int, int] | None = None, any_scale: bool = False, mosaic: str | None = None
+) -> Decoded:
     """Read a photograph's file once; raises InputError like `read_image`, but for levels.
 
     With ``any_scale`` other sizes of the aspect of ``size_px`` are read, too.
     """
     path = Path(path)
-    if is_raw(path):
-        from chromaperture.capture.raw import raw_size, read_raw
+    sites_px, is_raw_file = _sites_px(path, mosaic), opens_as_raw(path)
+    if sites_px is None and not is_raw_file:
+        return Decoded(_colour(_decode(path, size_px, any_scale), path))
+    found = image_size(path, mosaic=mosaic)
+    if any_scale and size_px is not None and same_frame(size_px, found):
+        size_px = found
+    if is_raw_file:
+        from chromaperture.capture.raw import read_raw
 
-        if any_scale and size_px is not None and same_frame(size_px, found := raw_size(path)):
-            size_px = found
-        counts, own = read_raw(path, size_px=size_px)
-        return Decoded(counts, own)
-    return Decoded(_colour(_decode(path, size_px, any_scale), path))
+        return Decoded(*read_raw(path, size_px=size_px))
+    check_size(*found, path.name, size_px)
+    sites = _decode(path, sites_px, False)
+    sites = sites if sites.ndim == 2 else sites[..., 0]
+    check_not_quad(sites, path.name, black_level=0.0)
+    white = format_encoding(sites.dtype).white_level
+    counts, own = superpixels(sites, str(mosaic), black_level=0.0, white_level=white)
+    return Decoded(counts, replace(own, given=False))
 
 
 def read_samples(path: str | Path) -> np.ndarray:
@@ -245,6 +248,19 @@ def read_samples(path: str | Path) -> np.ndarray:
         The file is missing, damaged or too large.
     """
     return _decode(Path(path), None, False)
+
+
+def _sites_px(path: Path, mosaic: str | None) -> tuple[int, int] | None:
+    """Return width and height of a file of one channel, where these are mosaics; None for others."""
+    if mosaic is None or opens_as_raw(path):
+        return None
+    data = _read(path)
+    try:
+        picture = open_picture(data)
+    except Exception:  # which reading it says
+        return None
+    is_grey = picture.mode.startswith(("L", "I", "F"))
+    return None if not is_grey else tiff_size(data, path.name) if data.startswith(TIFF_MARKS) else picture.size
 
 
 def _read(path: Path) -> bytes:
@@ -341,7 +357,10 @@ def _colour(counts: np.ndarray, path: Path) -> np.ndarray:
         # A picture of one count is black or saturated: which, the check of its exposure finds out from the levels.
         grey = float((counts[..., 0] == counts.max()).mean()) <= _MOST_SATURATED
     if grey:
-        raise InputError(f"{path.name} is a grey picture; the depth is in the colours, so give the colour original")
+        hint = "" if counts.shape[2:] == (3,) else "; if it is the mosaic of a Bayer sensor, give --mosaic RGGB"
+        raise InputError(
+            f"{path.name} is a grey picture; the depth is in the colours, so give the colour original{hint}"
+        )
     if counts.dtype not in (np.uint8, np.uint16, np.float32, np.float64):
         raise InputError(f"{path.name} holds {counts.dtype} samples; give 8 or 16 bit or float")
     return counts

@@ -9,11 +9,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from chromaperture.capture.files import photographs, read_counts
+from chromaperture.capture.bayer import check_pattern
+from chromaperture.capture.files import read_counts
 from chromaperture.capture.recording import HEADER
 from chromaperture.capture.source import Event, FileSource, Frame, Listener, checked_fps
 from chromaperture.color.encoding import Encoding
 from chromaperture.errors import InputError, MissingDependencyError
+from chromaperture.shots import counted, photographs
 
 
 class FolderSource(FileSource):
@@ -27,6 +29,8 @@ class FolderSource(FileSource):
         For the times of the frames.
     black_level, white_level, camera_encoding : float or Encoding, optional
         See `choose_encoding`.
+    mosaic : {"RGGB", "BGGR", "GRBG", "GBRG"}, optional
+        Grey pictures are such a mosaic of a Bayer sensor; default the camera's.
     listener : callable, optional
     """
 
@@ -38,18 +42,23 @@ class FolderSource(FileSource):
         black_level: float | None = None,
         white_level: float | None = None,
         camera_encoding: Encoding | None = None,
+        mosaic: str | None = None,
         listener: Listener | None = None,
     ) -> None:
         super().__init__(pattern, listener=listener)
+        if mosaic is not None:
+            check_pattern(mosaic)
         self.fps, self.levels = checked_fps(fps), dict[str, Any](black_level=black_level, white_level=white_level)
-        self.levels["camera_encoding"] = camera_encoding
+        self.levels |= {"camera_encoding": camera_encoding, "mosaic": mosaic}
         self.paths: list[Path] = []
 
     def open(self) -> None:
         """Find the pictures."""
         folder = Path(self.name)
         if os.path.isdir(folder):  # unlike `Path`, no error for names that are too long
-            self.paths = photographs(folder)
+            self.paths, left_out = photographs(folder)
+            if left_out:
+                self.listener(Event("skipped", f"{self.name}: left out {counted(left_out)}"))
         else:
             self.paths = [folder] if os.path.isfile(folder) else _matching(self.name)
         self.paths.sort(key=natural)

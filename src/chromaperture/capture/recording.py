@@ -206,7 +206,7 @@ class ReplaySource(FileSource):
 def _recorded(encoding: Encoding) -> dict[str, Any]:
     """Return the fields to record; null for levels that neither a person nor a RAW file gave."""
     fields = asdict(encoding)
-    del fields["response"]  # of the camera file, which is read again
+    del fields["response"], fields["mosaic"]  # of the camera file, which is read again
     if not encoding.given and encoding.channel_offsets_px == CENTRED:
         fields["black_level"] = fields["white_level"] = None
     return fields

@@ -58,7 +58,9 @@ def choose_encoding(
         camera = _camera_of(counts, camera, are_given=given != (None, None))
     known = (None, None) if camera is None else (camera.black_level, camera.white_level)
     black, white = (level if level is not None else of_camera for level, of_camera in zip(given, known, strict=True))
-    if white is None and not own.given and own.white_level == 65535 and 0 < counts.max(initial=0) < _TWELVE_BITS:
+    factor = 1 if own.channel_offsets_px == CENTRED else 2
+    is_full_scale = not own.given and own.white_level == 65535 * factor
+    if white is None and is_full_scale and 0 < counts.max(initial=0) < _TWELVE_BITS * factor:
         warnings.warn(
             f"a 16-bit picture without a count above {_TWELVE_BITS - 1}; if the sensor has fewer bits, "
             "give --white-level",
@@ -67,7 +69,6 @@ def choose_encoding(
         )
     if black is None and white is None:
         return own
-    factor = 1 if own.channel_offsets_px == CENTRED else 2
     return Encoding(
         own.black_level if black is None else factor * float(black),
         own.white_level if white is None else factor * float(white),

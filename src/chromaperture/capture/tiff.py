@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import logging
 import math
+import warnings
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import islice
 
 import numpy as np
 import tifffile
 
-from chromaperture.errors import InputError
+from chromaperture.errors import CaptureWarning, InputError
 from chromaperture.validation import MOST_PIXELS
 
 # An error is one line of ours: without a handler, Python prints what libraries log.
@@ -19,6 +22,9 @@ logging.getLogger("tifffile").addHandler(logging.NullHandler())
 _MOST_SAMPLES = 4  # of a pixel: R, G, B and alpha
 _DEFLATE = {tifffile.COMPRESSION.ADOBE_DEFLATE, tifffile.COMPRESSION.DEFLATE}
 _COMPRESSIONS = _DEFLATE | {tifffile.COMPRESSION.NONE, tifffile.COMPRESSION.LZW, tifffile.COMPRESSION.PACKBITS}
+_MOST_PAGES = 8  # that are looked at: finding all pages of a hostile file can take minutes
+_REDUCED, _MASK = 1, 4  # bits of NewSubfileType: a preview, a transparency mask
+_COLOURS = {5: "CMYK", 6: "YCbCr", 8: "L*a*b*", 9: "L*a*b*", 10: "L*a*b*", 32844: "LogL", 32845: "LogLuv"}
 _PIECE_BYTES = 1_000_000  # unpacked at a time where only the size is wanted
 
 
@@ -27,34 +33,43 @@ def no_check(width: int, height: int) -> None:
 
 
 def decode_tiff(data: bytes, name: str, *, check: Callable[[int, int], None] = no_check) -> np.ndarray:
-    """Decode the first picture of a file.
+    """Decode the largest picture among the first pages of a file, as stored, (H, W) or (H, W, S).
 
-    Only the first page is looked at: finding the pages and series of a hostile file can take minutes.
-
-    Parameters
-    ----------
-    data : bytes
-    name : str
-        Of the file, for messages.
-    check : callable
-        Called with width and height before anything is unpacked; raises InputError.
-
-    Returns
-    -------
-    (H, W) or (H, W, S) array, as stored
-
-    Raises
-    ------
-    InputError
-        The file is damaged, holds no pixel, or unpacks to more than it declares.
+    ``check`` is called with width and height before anything is unpacked. Raises InputError where the file is damaged,
+    holds no pixel, or unpacks to more than it declares.
     """
+    with _opened(data, name) as (page, others):
+        _check_page(page, name)
+        check(page.imagewidth, page.imagelength)
+        _check_segments(page, data)
+        counts = np.asarray(page.asarray(maxworkers=1))
+        if page.planarconfig == tifffile.PLANARCONFIG.SEPARATE and counts.ndim == 3:
+            counts = np.ascontiguousarray(np.moveaxis(counts, 0, -1))
+    if others:
+        text = f"{name} holds more than one picture of this size: the first is read"
+        warnings.warn(text, CaptureWarning, stacklevel=5)
+    return counts
+
+
+def tiff_size(data: bytes, name: str) -> tuple[int, int]:
+    """Return width and height of the picture, px; raises InputError like `decode_tiff`."""
+    with _opened(data, name) as (page, _):
+        _check_page(page, name)
+        return int(page.imagewidth), int(page.imagelength)
+
+
+def tiff_bits(data: bytes) -> int:
+    """Return the bits of a sample of the picture; raises InputError like `decode_tiff`."""
+    with _opened(data, "it") as (page, _):
+        return int(page.bitspersample)
+
+
+@contextlib.contextmanager
+def _opened(data: bytes, name: str) -> Iterator[tuple[tifffile.TiffPage, bool]]:
+    """Open a file at its picture, see `_picture`; what is raised on a damaged one becomes InputError."""
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as file:
-            page = file.pages.first
-            _check_page(page, name)
-            check(page.imagewidth, page.imagelength)
-            _check_segments(page, data)
-            return np.asarray(page.asarray(maxworkers=1))
+            yield _picture(file)
     except InputError:
         raise
     except Exception:  # tifffile raises anything on a damaged file
@@ -63,25 +78,12 @@ def decode_tiff(data: bytes, name: str, *, check: Callable[[int, int], None] = n
         ) from None
 
 
-def tiff_size(data: bytes, name: str) -> tuple[int, int]:
-    """Return width and height of the first picture, px; raises InputError like `decode_tiff`."""
-    try:
-        with tifffile.TiffFile(io.BytesIO(data)) as file:
-            page = file.pages.first
-            _check_page(page, name)
-            return int(page.imagewidth), int(page.imagelength)
-    except InputError:
-        raise
-    except Exception:
-        raise InputError(
-            f"{name} is damaged or not a TIFF file with a picture; copy or export the file again"
-        ) from None
-
-
-def tiff_bits(data: bytes) -> int:
-    """Return the bits of a sample of the first picture; raises whatever a damaged file makes tifffile raise."""
-    with tifffile.TiffFile(io.BytesIO(data)) as file:
-        return int(file.pages.first.bitspersample)
+def _picture(file: tifffile.TiffFile) -> tuple[tifffile.TiffPage, bool]:
+    """Return the largest of the first pages that are no previews or masks, and whether another is as large."""
+    pages = [page for page in islice(file.pages, _MOST_PAGES) if isinstance(page, tifffile.TiffPage)]
+    full = [page for page in pages if not page.subfiletype & (_REDUCED | _MASK) and page.shape] or pages[:1]
+    sizes = [page.imagewidth * page.imagelength for page in full]
+    return full[sizes.index(max(sizes))], sizes.count(max(sizes)) > 1
 
 
 def _check_page(page: tifffile.TiffPage, name: str) -> None:
@@ -93,6 +95,10 @@ def _check_page(page: tifffile.TiffPage, name: str) -> None:
     too_many = page.imagewidth * page.imagelength > MOST_PIXELS or tile > MOST_PIXELS
     if too_many or page.samplesperpixel > _MOST_SAMPLES or page.imagedepth != 1 or math.prod(shape) > 4 * MOST_PIXELS:
         raise InputError(f"{name} holds an array of shape {shape}; one RGB picture is needed")
+    if page.photometric in _COLOURS:
+        raise InputError(
+            f"{name} holds {_COLOURS[page.photometric]} colours, not RGB; export it as RGB of 16 bits, linear"
+        )
     if page.compression not in _COMPRESSIONS:
         raise InputError(f"{name} is compressed in a way that is not read; export it as TIFF without compression")
 

@@ -12,8 +12,6 @@ from chromaperture.capture.source import Event, FileSource, Frame, Listener, che
 from chromaperture.color.encoding import Encoding, format_encoding
 from chromaperture.errors import InputError
 
-VIDEOS = {".avi", ".m4v", ".mjpeg", ".mkv", ".mov", ".mp4", ".mpg", ".ts", ".webm", ".y4m"}
-
 
 class VideoSource(FileSource):
     """Frames of a clip, 8-bit sRGB. Most codecs halve the resolution of colour; FFV1 in 4:4:4 does not.

@@ -65,6 +65,13 @@ CropOrigin = Annotated[
 _LEVEL_DEFAULT = "default the camera file's, else the file format's"
 BlackLevel = Annotated[float | None, typer.Option(help=f"Counts of no light; {_LEVEL_DEFAULT}.")]
 WhiteLevel = Annotated[float | None, typer.Option(help=f"Counts of a full well; {_LEVEL_DEFAULT}.")]
+Mosaic = Annotated[
+    str | None,
+    typer.Option(
+        help="Grey files are the mosaic of a Bayer sensor: RGGB, BGGR, GRBG or GBRG.",
+        autocompletion=lambda: ["RGGB", "BGGR", "GRBG", "GBRG"],
+    ),
+]
 MaxRelativeSigma = Annotated[
     float,
     typer.Option(help="Largest sigma/depth in what carries no error bar (points, PNG, TUM, MCAP); inf keeps all."),

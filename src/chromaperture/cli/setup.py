@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
+from chromaperture.capture.bayer import check_pattern
 from chromaperture.capture.files import image_size
 from chromaperture.config import Quality
 from chromaperture.config_file import with_file
@@ -25,16 +26,26 @@ def camera_for(
     scale: int | Literal["auto"] = "auto",
     crop_origin_px: tuple[int, int] | None = None,
     device: str = "auto",
+    mosaic: str | None = None,
 ) -> CodedApertureCamera:
     """Open the camera file, or make an uncalibrated camera of the image's size for a design."""
     if (camera is None) == (design is None):
         raise InputError("give either --camera CAMERA.asdf, or --design NAME for disparity without calibration")
     if camera is not None:
-        calibration = Calibration.load(camera)
+        calibration = with_mosaic(Calibration.load(camera), mosaic)
     else:
-        width, height = image_size(image)
-        calibration = Calibration.uncalibrated(cast(str, design), width_px=width, height_px=height)
+        width, height = image_size(image, mosaic=mosaic)
+        uncalibrated = Calibration.uncalibrated(cast(str, design), width_px=width, height_px=height)
+        calibration = with_mosaic(uncalibrated, mosaic)
     if crop_origin_px is not None and camera is None:
         raise InputError("--crop-origin is a place in the frame of a calibrated camera: give its file with --camera")
     settings = replace(default_config(calibration, cast(Quality, quality), scale=scale), crop_origin_px=crop_origin_px)
     return CodedApertureCamera(calibration, settings if config is None else with_file(settings, config), device=device)
+
+
+def with_mosaic(calibration: Calibration, mosaic: str | None) -> Calibration:
+    """Return a camera whose grey files are a Bayer mosaic of this pattern; None: as they are."""
+    if mosaic is None:
+        return calibration
+    check_pattern(mosaic)
+    return replace(calibration, sensor=replace(calibration.sensor, mosaic=cast(Any, mosaic)))

@@ -34,6 +34,8 @@ class Encoding:
     given : bool
         False: nobody gave the levels. They are those of the number format or of a RAW file, and a camera file's replace
         them. Not compared: light is the same.
+    mosaic : str, optional
+        Of a camera: the Bayer pattern of its grey files, which `capture.files` makes colour pictures of.
     """
 
     black_level: float = 0.0
@@ -42,6 +44,7 @@ class Encoding:
     channel_offsets_px: Offsets = CENTRED
     response: ResponseCurve | None = None
     given: bool = field(default=True, compare=False)
+    mosaic: str | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         if not (np.isfinite([self.black_level, self.white_level]).all() and self.white_level > self.black_level):
