@@ -11,6 +11,7 @@ _RAW = {
     ".mos", ".mrw", ".nef", ".nrw", ".orf", ".pef", ".raf", ".raw", ".rw2", ".rwl", ".sr2", ".srf", ".srw", ".x3f",
 }  # fmt: skip
 _PICTURES = {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".webp"}
+_JPEG = {".jpg", ".jpeg"}
 VIDEOS = {".avi", ".m4v", ".mjpeg", ".mkv", ".mov", ".mp4", ".mpg", ".ts", ".webm", ".y4m"}
 # Others that people take for photographs: named where they are left out, unlike .xmp or .txt.
 _UNREAD = VIDEOS | {
@@ -28,7 +29,7 @@ def photographs(folder: Path, kind: str = "") -> tuple[list[Path], dict[Path, st
 def one_of_each(paths: Iterable[Path], kind: Callable[[], str]) -> tuple[list[Path], dict[Path, str]]:
     """Return the photographs among files, and pictures that are left out with the reason.
 
-    Of several of one name, as RAW and JPEG of a shot, one is taken: of the suffix ``kind()``, else RAW.
+    Of several of one name, as RAW and JPEG of a shot, one is taken: of the suffix ``kind()``, else RAW, if that is not JPEG.
     """
     shots: dict[tuple[Path, str], list[Path]] = {}
     left_out = {}
@@ -40,7 +41,7 @@ def one_of_each(paths: Iterable[Path], kind: Callable[[], str]) -> tuple[list[Pa
     for shot in filter(lambda shot: len(shot) > 1, shots.values()):
         suffix = kind()
         of_kind = [path for path in shot if path.suffix.lower() == suffix]
-        taken = of_kind or [path for path in shot if is_raw(path) == (suffix in _RAW | {""})] or shot
+        taken = of_kind or [path for path in shot if is_raw(path) != (suffix in _JPEG)] or shot
         left_out |= {path: f"beside {taken[0].suffix} of the same name" for path in shot if path not in taken}
     return [path for shot in shots.values() for path in shot if path not in left_out], left_out
 
