@@ -25,7 +25,8 @@ BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "planes_config", "s
                          "camera_alignment", "camera_crop", "camera", "cluster", "formats", "frame", "calibration",
                          "products"}  # fmt: skip
 # What a part of the package may import, besides itself; COMMON may be imported by all but itself.
-COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory", "rows_on_demand", "scratch"}
+COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory", "rows_on_demand", "scratch",
+          "shots"}  # fmt: skip
 ALLOWED: dict[str, set[str]] = {
     **{part: set() for part in COMMON},
     "validation": {"errors"},

@@ -242,6 +242,7 @@ def write_dng(
     *,
     pattern: str = "RGGB",
     black: tuple[int, ...] = (0,),
+    black_dim: int = 2,
     white: int = 4095,
     orientation: int = 1,
     active_area: tuple[int, int, int, int] | None = None,
@@ -250,8 +251,8 @@ def write_dng(
 ) -> None:
     """Write an uncompressed DNG (Adobe's specification 1.4) of a mosaic (H, W) uint16.
 
-    ``black`` is one level, or four of the cell, row by row; ``active_area`` is top, left, bottom, right, where the
-    pattern begins.
+    ``black`` is one level, or those of a cell of ``black_dim`` rows, row by row; ``active_area`` is top, left, bottom,
+    right, where the pattern begins.
     """
     colours = bytes("RGB".index(colour) for colour in pattern)
     identity = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
@@ -265,7 +266,7 @@ def write_dng(
     if len(black) == 1:
         tags.append((50714, "H", 1, black[0], False))
     else:
-        tags += [(50713, "H", 2, (2, 2), False), (50714, "H", 4, black, False)]
+        tags += [(50713, "H", 2, (black_dim,) * 2, False), (50714, "H", len(black), black, False)]
     if noise_profile:
         tags.append((51041, "d", len(noise_profile), noise_profile, False))
     if active_area is not None:

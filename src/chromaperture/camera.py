@@ -20,7 +20,6 @@ from chromaperture.camera_memory import check_camera_memory, volumes_go_to_disk
 from chromaperture.camera_scale import SAME_SCALE, resized
 from chromaperture.capture.checks import check_capture, check_form
 from chromaperture.capture.files import Photograph, read_light
-from chromaperture.capture.picture_format import stated_in
 from chromaperture.capture.picture_header import same_frame
 from chromaperture.color.image import checked_image
 from chromaperture.config import Config, ExecutionName, Quality
@@ -259,12 +258,11 @@ class CodedApertureCamera:
         check_camera_memory(Path(path).name, self.calibration, self.config)
         known = self.calibration if self.calibration.is_calibrated else None
         size_px = self._frame_px if self.config.crop_origin_px is None else None
-        encoding = None if known is None else known.sensor.encoding
-        stated = stated_in(self.calibration.provenance)
-        any_scale = known is not None
+        encoding, stated = self.calibration.sensor.encoding, self.calibration.sensor.encoding.stated
         found = read_light(
-            path, size_px=size_px, any_scale=any_scale, camera_encoding=encoding, stated=stated, **levels
-        )
+            path, size_px=size_px, any_scale=known is not None, camera_encoding=None if known is None else encoding,
+            stated=stated, **levels,
+        )  # fmt: skip
         if known is not None and found.form is not None:
             check_form(found.form, Path(path).name, known.provenance, encoding, is_cropped=size_px is None)
         return found

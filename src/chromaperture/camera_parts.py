@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
-from chromaperture.color.encoding import Encoding
+from chromaperture.color.encoding import Encoding, Pattern, Siting, StatedFacts
 from chromaperture.color.response import ResponseCurve
 
 
@@ -25,14 +26,17 @@ class CameraSensor:
     curve: str = "linear"  # see `Transfer`
     curve_parameters: tuple[float, ...] = ()
     response: tuple[float, ...] | None = None  # exponents of a `ResponseCurve`; None: values are light
+    mosaic: Pattern | None = None  # what a person said of its files, see `StatedFacts`
+    siting: Siting | None = None
+    primaries: Literal["srgb"] | None = None
 
     @property
     def encoding(self) -> Encoding:
         """How the photographs that the camera was calibrated on are decoded."""
         response = None if self.response is None else ResponseCurve(self.response)
-        return Encoding(
-            self.black_level, self.white_level, self.curve, response=response, curve_parameters=self.curve_parameters
-        )
+        stated = StatedFacts(self.siting, self.primaries, self.mosaic)
+        levels = self.black_level, self.white_level
+        return Encoding(*levels, self.curve, response=response, curve_parameters=self.curve_parameters, stated=stated)
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,9 @@ class SensorTable(CameraTable):
     curve: Literal["linear", "srgb", "bt709", "power", "parametric", "table", "hlg", "pq"] = "linear"
     curve_parameters: Annotated[tuple[Finite, ...], Field(max_length=65536)] = ()
     response: Annotated[tuple[Exponent, ...], Field(min_length=2, max_length=100)] | None = None
+    mosaic: Literal["RGGB", "BGGR", "GRBG", "GBRG"] | None = None
+    siting: Literal["centre", "left", "top-left"] | None = None
+    primaries: Literal["srgb"] | None = None
 
 
 class LensTable(CameraTable):

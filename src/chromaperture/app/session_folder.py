@@ -20,10 +20,11 @@ from pydantic import Field
 from chromaperture.app.shot_checks import Reading
 from chromaperture.calibration.session import Session, read_session
 from chromaperture.calibration.session_plan import FOLDERS, PlannedSession, plan_files
-from chromaperture.capture.files import decode, is_encoded, is_photograph
+from chromaperture.capture.files import decode, is_encoded
 from chromaperture.errors import InputError
 from chromaperture.evaluation.health import Check
 from chromaperture.optics.aperture import design_named
+from chromaperture.shots import is_photograph
 from chromaperture.storage import staged, to_json
 from chromaperture.validation import Name, Table, checked, read_text
 

@@ -9,10 +9,11 @@ import contextlib
 import csv
 import math
 import os
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
@@ -20,12 +21,14 @@ from pydantic import Field
 from chromaperture.calibration.board_distances import check_units
 from chromaperture.camera_parts import CameraSensor
 from chromaperture.camera_scale import LEAST_SIDE_PX, SCALES, reduced_size, resized_sensor
-from chromaperture.capture.files import format_of, photographs, read_light
-from chromaperture.capture.picture_format import NOTHING_STATED, PictureFormat, Siting, StatedFacts
+from chromaperture.capture.files import format_of, read_light
+from chromaperture.capture.picture_format import PictureFormat
+from chromaperture.color.encoding import Pattern, Siting, StatedFacts
 from chromaperture.color.image import is_saturated
 from chromaperture.disparity.working_scale import reduced
-from chromaperture.errors import InputError
+from chromaperture.errors import CaptureWarning, InputError
 from chromaperture.optics.aperture import DESIGNS, design_named
+from chromaperture.shots import counted, photographs
 from chromaperture.validation import (
     LARGEST_SIDE,
     Name,
@@ -70,7 +73,6 @@ class Session:
     tilts: tuple[Path, ...]  # tilted boards, for the intrinsics
     full_size_px: tuple[int, int] | None = None  # width and height of the photographs; None: those of ``sensor``
     tone_error: float = 0.0  # of the exponent by which decoded values grow with light, see `tone_curve`
-    stated: StatedFacts = NOTHING_STATED
     form: PictureFormat | None = None  # of the first board's file
 
     @property
@@ -86,14 +88,16 @@ class Session:
     def read(self, path: Path) -> np.ndarray:
         """Read one photograph of the session as linear light, at the size of `sensor`; (H, W, 3) float32."""
         expected = self.photograph_size_px
-        width, height = format_of(path, self.stated).read_size_px
+        width, height = format_of(path, self.sensor.encoding.stated).read_size_px
         if (width, height) != expected:
             raise InputError(
                 f"{path.name} is read at {width}x{height} px, but the session's boards at "
                 f"{expected[0]}x{expected[1]}; correct session.toml or the photograph"
             )
         # As `depth` reads.
-        image = read_light(path, size_px=expected, camera_encoding=self.sensor.encoding, stated=self.stated).image
+        image = read_light(
+            path, size_px=expected, camera_encoding=self.sensor.encoding, stated=self.sensor.encoding.stated
+        ).image
         working = (self.sensor.width_px, self.sensor.height_px)
         if working == expected:
             return image
@@ -113,7 +117,8 @@ class Session:
         """Photographs of white sheets by name; those in the session's folder replace those beside it."""
         folders = (self.folder.parent / "white", self.folder / "white")
         names = {"open", *DESIGNS, *SHEETS.values()}
-        return {path.stem: path for folder in folders for path in photographs(folder) if path.stem in names}
+        kind = _kind(self.boards)
+        return {path.stem: path for folder in folders for path in photographs(folder, kind)[0] if path.stem in names}
 
     def white(self, name: str) -> np.ndarray | None:
         """Return the mean colour of the middle of a white sheet; (3,) float64, None where there is no photograph.
@@ -145,9 +150,8 @@ def read_session(folder: str | Path) -> Session:
         raise InputError(f"cannot read {quoted(settings)}: there is no such file; is this a session folder?")
     table = checked(_SessionTable, read_toml(settings), where=quoted(settings))
     boards = _distances(folder)
-    full = CameraSensor(**table.sensor.model_dump(exclude={"linear", "tone_error", "siting"}))
-    stated = StatedFacts(table.sensor.siting)
-    form = _format_of_first(boards, stated)
+    full = CameraSensor(**table.sensor.model_dump(exclude={"linear", "tone_error"}))
+    form = _format_of_first(boards, full.encoding.stated)
     if form is not None and form.is_encoded and full.white_level > 255:  # encoded values have no such levels
         encoding = form.encoding(255.0)
         decoding = {"curve": encoding.curve, "curve_parameters": encoding.curve_parameters}
@@ -157,6 +161,14 @@ def read_session(folder: str | Path) -> Session:
         size = form.read_size_px
         full = resized_sensor(full, *size)
     sensor = resized_sensor(full, *reduced_size(size, _scale(full, table.lens, boards)))
+    tilts, left_out = photographs(folder / "tilt", _kind(boards))
+    left_out |= photographs(folder / "white", _kind(boards))[1]
+    if left_out:
+        warnings.warn(
+            f"left out of tilt/ and white/, as distances.csv names {_kind(boards)} files: {counted(left_out)}",
+            CaptureWarning,
+            stacklevel=2,
+        )
     check_units(np.array([*boards.values()]), table.lens.focused_at_about_mm, where=str(folder / "distances.csv"))
     return Session(
         folder=folder,
@@ -169,10 +181,9 @@ def read_session(folder: str | Path) -> Session:
         square_mm=table.board.square_mm,
         ruler_error_mm=table.board.ruler_error_mm,
         boards=boards,
-        tilts=tuple(photographs(folder / "tilt")),
+        tilts=tuple(tilts),
         full_size_px=size,
         tone_error=table.sensor.tone_error,
-        stated=stated,
         form=form,
     )
 
@@ -182,6 +193,11 @@ def _format_of_first(boards: Mapping[Path, float], stated: StatedFacts) -> Pictu
     with contextlib.suppress(InputError):
         return format_of(next(iter(boards)), stated) if boards else None
     return None
+
+
+def _kind(boards: Iterable[Path]) -> str:
+    """Return the suffix of the photographs of a session."""
+    return next((path.suffix.lower() for path in boards), "")
 
 
 def _scale(sensor: CameraSensor, lens: _LensTable, boards: Mapping[Path, float]) -> int:
@@ -212,11 +228,13 @@ class _SensorTable(Table):
     pixel_pitch_mm: _Length
     black_level: NotNegative = 0.0
     white_level: NotNegative = 65535.0
+    mosaic: Pattern | None = None
     full_well_electrons: Positive | None = None
     read_noise_electrons: NotNegative | None = None
     linear: bool = True  # for people; counts are always taken as linear
     tone_error: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    siting: Siting | None = None  # of subsampled chroma, where the files do not say it
+    siting: Siting | None = None
+    primaries: Literal["srgb"] | None = None
 
 
 class _LensTable(Table):

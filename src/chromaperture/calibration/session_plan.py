@@ -39,6 +39,8 @@ class PlannedSession:
     sensor_width_mm, focal_length_mm, f_number : float, optional
     black_level, white_level : float, optional
         Counts of no light and of a full pixel.
+    mosaic : str, optional
+        Bayer pattern of grey files.
     tone_error : float, optional
         Error of the exponent by which decoded values grow with light, where two exposures showed it.
 
@@ -63,6 +65,7 @@ class PlannedSession:
     f_number: float | None = None
     black_level: float | None = None
     white_level: float | None = None
+    mosaic: str | None = None
     tone_error: float | None = None
 
     def __post_init__(self) -> None:
@@ -108,7 +111,7 @@ def _settings(plan: PlannedSession) -> str:
 design = "{plan.design}"    # the aperture, as "chromaperture apertures" names it
 
 [sensor]
-# Of a photograph as it is read: half the camera's for RAW files, whose 2 x 2 cells become one pixel.
+# Of a photograph as it is read: half the camera's for RAW files and mosaics, whose 2 x 2 cells become one pixel.
 width_px = {width}
 height_px = {height}
 pixel_pitch_mm = {_number(pitch)}    # width of the sensor in mm / width_px
@@ -116,6 +119,8 @@ pixel_pitch_mm = {_number(pitch)}    # width of the sensor in mm / width_px
 # sRGB, and for 16-bit files that use all of 0 to 65535.
 {_optional("black_level", plan.black_level, 512)}
 {_optional("white_level", plan.white_level, 16383)}
+# Grey files are the mosaic of a Bayer sensor that begins so: RGGB, BGGR, GRBG or GBRG.
+{"# mosaic" if plan.mosaic is None else "mosaic"} = "{plan.mosaic or "RGGB"}"
 # By how much the exponent by which values grow with light is off 1; the error bars allow for it.
 {_optional("tone_error", plan.tone_error, 0.05)}
 

@@ -6,14 +6,16 @@ import contextlib
 import io
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 from PIL import Image, JpegImagePlugin
 
+from chromaperture.capture.bayer import check_not_quad, superpixels
 from chromaperture.capture.heif import heif_format, is_heif, read_heif, stored_turn
-from chromaperture.capture.picture_format import LUMA_WEIGHTS, KnownFrom, PictureFormat, StatedFacts
+from chromaperture.capture.picture_format import LUMA_WEIGHTS, SENSOR_LIGHT, KnownFrom, PictureFormat
 from chromaperture.capture.picture_header import (
     PNG_MARK,
     TIFF_MARKS,
@@ -25,13 +27,14 @@ from chromaperture.capture.picture_header import (
 from chromaperture.capture.tiff import decode_tiff, tiff_header
 from chromaperture.color.color_space import UNTAGGED, ColorSpace
 from chromaperture.color.color_tags import of_exif, of_icc, of_png
+from chromaperture.color.encoding import Encoding, Pattern, StatedFacts
 from chromaperture.errors import InputError
 
 if TYPE_CHECKING:
     import av.container
 
 DeepPng = Callable[[bytes], np.ndarray | None]  # of a 16-bit file; None where it is another kind of PNG
-Counts = tuple[np.ndarray, PictureFormat, float]
+Counts = tuple[np.ndarray, PictureFormat, Encoding]
 _ORIENTATION, _EXIF_IFD, _COLOR_SPACE, _INTEROP_IFD, _INTEROP_INDEX = 0x0112, 0x8769, 0xA001, 0xA005, 1
 TURNS = {3: 180, 6: 90, 8: 270}  # codes of EXIF's orientation, degrees clockwise; others are mirrored, or upright
 _CODECS = {"JPEG": "mjpeg", "WebP": "webp"}
@@ -42,7 +45,7 @@ def format_of_data(data: bytes, name: str, stated: StatedFacts) -> PictureFormat
     if is_heif(data):
         return heif_format(data, name, stated)
     if data.startswith(TIFF_MARKS):
-        return _tiff_format(data, name)
+        return _tiff_format(data, name, stated)
     if (other := other_kind(data)) is not None:
         raise InputError(f"{name} is {other}")
     picture = open_picture(data)
@@ -51,6 +54,8 @@ def format_of_data(data: bytes, name: str, stated: StatedFacts) -> PictureFormat
     if picture.format == "AVIF":
         with _avif(data, name, stated) as (_, form):
             return form
+    if stated.mosaic is not None and picture.mode.startswith(("L", "I", "F")):
+        return _mosaic(kind_of(picture), picture.size, 16 if _is_deep(data) else 8, stated.mosaic)
     factors = _factors(picture, data)
     space = _space_of(picture, data)
     known: dict[str, KnownFrom] = {
@@ -60,7 +65,7 @@ def format_of_data(data: bytes, name: str, stated: StatedFacts) -> PictureFormat
     if factors != (1, 1):
         known["siting"] = "default" if stated.siting is None else "option"
     turn = TURNS.get(_exif(picture).get(_ORIENTATION, 1), 0)
-    kind = {"WEBP": "WebP", "PPM": "PNM", "MPO": "JPEG"}.get(str(picture.format), str(picture.format))
+    kind = kind_of(picture)
     return PictureFormat(
         kind, picture.size, 16 if _is_deep(data) else 8, factors, stated.siting or "centre",
         LUMA_WEIGHTS[2] if factors != (1, 1) else None, space=space,
@@ -68,23 +73,42 @@ def format_of_data(data: bytes, name: str, stated: StatedFacts) -> PictureFormat
     )  # fmt: skip
 
 
+def kind_of(picture: Image.Image) -> str:
+    """Return the name of a picture's format, for people."""
+    return {"WEBP": "WebP", "PPM": "PNM", "MPO": "JPEG"}.get(str(picture.format), str(picture.format))
+
+
+def _mosaic(kind: str, size_px: tuple[int, int], bits: int, pattern: Pattern) -> PictureFormat:
+    """Return the format of a grey file that is a mosaic; an odd last row or column has no whole cell."""
+    size_px = size_px[0] // 2 * 2, size_px[1] // 2 * 2
+    known: dict[str, KnownFrom] = {"mosaic": "option"}
+    return PictureFormat(kind, size_px, bits, (2, 2), space=SENSOR_LIGHT, mosaic=pattern, known_from=known)
+
+
 def counts_of_data(data: bytes, form: PictureFormat, name: str, stated: StatedFacts, deep_png: DeepPng) -> Counts:
-    """Return a file's counts, (H, W, S), what it is, and the highest count; raises as `format_of_data`.
+    """Return a file's counts, (H, W, S), what it is, and how they become light; raises as `format_of_data`.
 
     The picture has the size `PictureFormat.read_size_px`. ``deep_png`` may return light in place of counts.
     """
     if form.kind == "HEIC":
-        return read_heif(data, name, stated)
-    if form.kind == "AVIF" or form.reduction > 1:
+        counts, form, white = read_heif(data, name, stated)
+        return counts, form, form.with_stated(stated).encoding(white)
+    if form.kind == "AVIF" or (form.reduction > 1 and form.mosaic is None):
         from chromaperture.capture.decoded_frame import counts_of_frame, decode_packet  # FFmpeg takes 0.1 s to load
     if form.kind == "AVIF":
         with _avif(data, name, stated) as (file, form):
             counts, white = counts_of_frame(next(file.decode(video=0)), form)
-        return counts, form, white
-    if form.reduction > 1:
+        return counts, form, form.with_stated(stated).encoding(white)
+    if form.reduction > 1 and form.mosaic is None:
         counts, white = counts_of_frame(decode_packet(_CODECS[form.kind], data), form)
-        return counts, form, white
-    return samples_of_data(data, name, deep_png=deep_png), form, {8: 255.0, 16: 65535.0}.get(form.bits, 1.0)
+        return counts, form, form.encoding(white)
+    counts, white = samples_of_data(data, name, deep_png=deep_png), {8: 255.0, 16: 65535.0}.get(form.bits, 1.0)
+    if form.mosaic is None:
+        return counts, form, form.encoding(white)
+    sites = counts if counts.ndim == 2 else counts[..., 0]
+    check_not_quad(sites, name, black_level=0.0)
+    cells, own = superpixels(sites, form.mosaic, black_level=0.0, white_level=white)
+    return cells, form, replace(own, given=False)
 
 
 def samples_of_data(
@@ -147,8 +171,10 @@ def _exif(picture: Image.Image) -> Image.Exif:
     return exif
 
 
-def _tiff_format(data: bytes, name: str) -> PictureFormat:
+def _tiff_format(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
     header = tiff_header(data, name)
+    if stated.mosaic is not None and header.samples == 1:
+        return _mosaic("TIFF", header.size_px, header.bits, stated.mosaic)
     space = UNTAGGED if header.profile is None else of_icc(header.profile)
     known: dict[str, KnownFrom] = {
         fact: "default" if header.profile is None else "tag" for fact in ("transfer", "primaries")

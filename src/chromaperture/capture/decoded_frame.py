@@ -13,15 +13,9 @@ import av.logging
 import numpy as np
 
 from chromaperture.capture.native_planes import ENCODED_WHITE, Planes, rgb_of_planes
-from chromaperture.capture.picture_format import (
-    LUMA_WEIGHTS,
-    NOTHING_STATED,
-    KnownFrom,
-    PictureFormat,
-    Siting,
-    StatedFacts,
-)
+from chromaperture.capture.picture_format import LUMA_WEIGHTS, KnownFrom, PictureFormat
 from chromaperture.color.color_space import ColorSpace, of_codes
+from chromaperture.color.encoding import NOTHING_STATED, Siting, StatedFacts
 from chromaperture.errors import InputError
 
 logging.getLogger("libav").addHandler(logging.NullHandler())  # as for tifffile: an error is one line of ours

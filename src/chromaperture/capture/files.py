@@ -8,9 +8,9 @@ the size of their chroma (`native_planes`); tagged colours are brought to linear
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -18,15 +18,24 @@ import numpy as np
 
 from chromaperture.capture.checks import check_primaries
 from chromaperture.capture.coded_pictures import counts_of_data, format_of_data, samples_of_data
-from chromaperture.capture.picture_format import NOTHING_STATED, PictureFormat, Siting, StatedFacts
+from chromaperture.capture.picture_format import PictureFormat
 from chromaperture.capture.picture_header import check_size, same_frame
+from chromaperture.capture.raw_container import holds_raw
 from chromaperture.capture.source import choose_encoding
-from chromaperture.color.encoding import CENTRED, Encoding, develop_counts, format_encoding
+from chromaperture.color.encoding import (
+    CENTRED,
+    NOTHING_STATED,
+    Encoding,
+    Pattern,
+    Siting,
+    StatedFacts,
+    develop_counts,
+    format_encoding,
+)
 from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.shots import is_raw
 from chromaperture.validation import MOST_FILE_BYTES, read_bytes
 
-_RAW_SUFFIXES = {".arw", ".cr2", ".cr3", ".dng", ".nef", ".orf", ".raf", ".rw2"}
-_PICTURES = {".avif", ".bmp", ".heic", ".heif", ".hif", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp"}
 _MOST_SATURATED = 0.98  # fraction of the pixels at one largest count; as in `check_capture`
 _SPARSE = 61  # rows and columns: a colour picture is hardly ever grey at all of their crossings
 
@@ -94,7 +103,7 @@ def read_light(
         light.extend([] if image is None else [image])
         return image
 
-    if camera_encoding is None or is_raw(path):  # the counts may say that a white level is wrong which nobody gave
+    if camera_encoding is None or opens_as_raw(path):  # the counts may say that a white level is wrong
         decoded = decode(path, size_px=size_px, any_scale=any_scale, stated=stated)
     else:
         decoded = _decode(path, size_px, any_scale, stated, deep_png)
@@ -110,6 +119,7 @@ def read_image(
     size_px: tuple[int, int] | None = None,
     siting: Siting | None = None,
     primaries: Literal["srgb"] | None = None,
+    mosaic: Pattern | None = None,
 ) -> np.ndarray:
     """Read a photograph as linear light: `decode`, then `linearise`.
 
@@ -132,6 +142,8 @@ def read_image(
         Place of subsampled chroma among luma; centre when absent, as in JPEG, HEIC, AVIF and WebP.
     primaries : {"srgb"}, optional
         In place of those that the file is tagged with.
+    mosaic : {"RGGB", "BGGR", "GRBG", "GBRG"}, optional
+        Grey files are such a mosaic of a Bayer sensor and read like RAW; levels are those of the mosaic.
 
     Returns
     -------
@@ -148,7 +160,7 @@ def read_image(
     CaptureWarning
         The levels look wrong.
     """
-    decoded = decode(path, size_px=size_px, stated=StatedFacts(siting, primaries))
+    decoded = decode(path, size_px=size_px, stated=StatedFacts(siting, primaries, mosaic))
     return linearise(decoded, black_level=black_level, white_level=white_level)
 
 
@@ -195,25 +207,14 @@ def encoding_of(
     return choose_encoding(own, decoded.array, **levels, camera_encoding=camera_encoding)
 
 
-def photographs(folder: Path) -> list[Path]:
-    """List the files of a folder that can be read as photographs, by name; none where there is no such folder."""
-    found = folder.iterdir() if os.path.isdir(folder) else ()
-    return sorted(path for path in found if is_photograph(path))
+def opens_as_raw(path: Path) -> bool:
+    """Recognise a camera's RAW file by its name, or its content."""
+    return is_raw(path) or holds_raw(path)
 
 
-def is_photograph(path: Path) -> bool:
-    """Recognise a file that can be read as a photograph by its name."""
-    return path.suffix.lower() in _PICTURES or is_raw(path)
-
-
-def is_raw(path: Path) -> bool:
-    """Recognise a camera's RAW file by its name."""
-    return path.suffix.lower() in _RAW_SUFFIXES
-
-
-def image_size(path: str | Path) -> tuple[int, int]:
+def image_size(path: str | Path, stated: StatedFacts = NOTHING_STATED) -> tuple[int, int]:
     """Return width and height of a photograph as it is read, px, by its header; raises InputError like `read_image`."""
-    return format_of(path).read_size_px
+    return format_of(path, stated).read_size_px
 
 
 def is_encoded(path: Path) -> bool:
@@ -227,7 +228,7 @@ def is_encoded(path: Path) -> bool:
 def format_of(path: str | Path, stated: StatedFacts = NOTHING_STATED) -> PictureFormat:
     """Return what a photograph's file is by its header; raises InputError like `read_image`."""
     path = Path(path)
-    if is_raw(path):
+    if opens_as_raw(path):
         from chromaperture.capture.raw import raw_format
 
         return raw_format(path)
@@ -250,7 +251,7 @@ def decode(
     With ``any_scale`` other sizes of the aspect of ``size_px`` are read, too.
     """
     path = Path(path)
-    if is_raw(path):
+    if opens_as_raw(path):
         from chromaperture.capture.raw import raw_format, read_raw
 
         form = raw_format(path)
@@ -278,10 +279,7 @@ def read_samples(path: str | Path) -> np.ndarray:
     data = _read(path)
     with _reported(path):
         return samples_of_data(
-            data,
-            path.name,
-            check=lambda width, height: check_size(width, height, path.name, None),
-            deep_png=_decode_rgb16,
+            data, path.name, check=partial(check_size, name=path.name, size_px=None), deep_png=_decode_rgb16
         )
 
 
@@ -337,9 +335,8 @@ def _decode(
         is_scaled = any_scale and size_px is not None and same_frame(size_px, form.read_size_px)
         check_size(*form.read_size_px, path.name, None if is_scaled else size_px, file_bytes=len(data))
         own = form.encoding(65535.0)
-        counts, form, white = counts_of_data(data, form, path.name, stated, lambda data: deep_png(data, own))
-        form = form.with_stated(stated)
-    return Decoded(_checked(counts, path), form.encoding(white), form)
+        counts, form, own = counts_of_data(data, form, path.name, stated, lambda data: deep_png(data, own))
+    return Decoded(_checked(counts, path), own, form.with_stated(stated))
 
 
 def _checked(counts: np.ndarray, path: Path) -> np.ndarray:
@@ -353,7 +350,10 @@ def _checked(counts: np.ndarray, path: Path) -> np.ndarray:
         # A picture of one count is black or saturated: which, the check of its exposure finds out from the levels.
         grey = float((counts[..., 0] == counts.max()).mean()) <= _MOST_SATURATED
     if grey:
-        raise InputError(f"{path.name} is a grey picture; the depth is in the colours, so give the colour original")
+        hint = "" if counts.shape[2:] == (3,) else "; if it is the mosaic of a Bayer sensor, give --mosaic RGGB"
+        raise InputError(
+            f"{path.name} is a grey picture; the depth is in the colours, so give the colour original{hint}"
+        )
     if counts.dtype not in (np.uint8, np.uint16, np.float32, np.float64):
         raise InputError(f"{path.name} holds {counts.dtype} samples; give 8 or 16 bit or float")
     return counts

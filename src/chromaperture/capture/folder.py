@@ -7,14 +7,15 @@ import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from chromaperture.capture.files import photographs, read_counts
+from chromaperture.capture.files import read_counts
 from chromaperture.capture.picture_format import described
 from chromaperture.capture.recording import HEADER
 from chromaperture.capture.source import Event, FileSource, Frame, Listener, checked_fps
-from chromaperture.color.encoding import Encoding
+from chromaperture.color.encoding import Encoding, Pattern, Siting, StatedFacts
 from chromaperture.errors import InputError, MissingDependencyError
+from chromaperture.shots import counted, photographs
 
 
 class FolderSource(FileSource):
@@ -28,6 +29,8 @@ class FolderSource(FileSource):
         For the times of the frames.
     black_level, white_level, camera_encoding : float or Encoding, optional
         See `choose_encoding`.
+    mosaic, siting, primaries : str, optional
+        See `StatedFacts`; default the camera's.
     listener : callable, optional
     """
 
@@ -39,18 +42,26 @@ class FolderSource(FileSource):
         black_level: float | None = None,
         white_level: float | None = None,
         camera_encoding: Encoding | None = None,
+        mosaic: Pattern | None = None,
+        siting: Siting | None = None,
+        primaries: Literal["srgb"] | None = None,
         listener: Listener | None = None,
     ) -> None:
         super().__init__(pattern, listener=listener)
         self.fps, self.levels = checked_fps(fps), dict[str, Any](black_level=black_level, white_level=white_level)
-        self.levels["camera_encoding"] = camera_encoding
+        stated = StatedFacts(siting, primaries, mosaic)
+        if camera_encoding is not None:
+            stated = stated.or_else(camera_encoding.stated)
+        self.levels |= {"camera_encoding": camera_encoding, "stated": stated}
         self.paths: list[Path] = []
 
     def open(self) -> None:
         """Find the pictures."""
         folder = Path(self.name)
         if os.path.isdir(folder):  # unlike `Path`, no error for names that are too long
-            self.paths = photographs(folder)
+            self.paths, left_out = photographs(folder)
+            if left_out:
+                self.listener(Event("skipped", f"{self.name}: left out {counted(left_out)}"))
         else:
             self.paths = [folder] if os.path.isfile(folder) else _matching(self.name)
         self.paths.sort(key=natural)

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from chromaperture.capture.native_planes import ENCODED_WHITE, Planes, rgb_of_planes
-from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat, StatedFacts
+from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat
 from chromaperture.color.color_space import UNTAGGED, of_codes
 from chromaperture.color.color_tags import of_icc
+from chromaperture.color.encoding import StatedFacts
 from chromaperture.errors import InputError, MissingDependencyError
 
 _CHROMA = {420: (2, 2), 422: (2, 1), 444: (1, 1)}

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat, Siting
+from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat
+from chromaperture.color.encoding import Siting
 from chromaperture.threads import each_band
 
 ENCODED_WHITE = 255.0  # of counts that were made from luma and chroma, whatever their bits
@@ -45,7 +46,8 @@ def rgb_of_planes(planes: Planes, form: PictureFormat) -> np.ndarray:
     Returns
     -------
     (h, w, 3) float32, from 0 to `ENCODED_WHITE`
-        Still encoded; a little beyond both ends where a codec has rounded. Where chroma is subsampled along one side only, the other is averaged to the same factor.
+        Still encoded; a little beyond both ends where a codec has rounded. Where chroma is subsampled along one side
+        only, the other is averaged to the same factor.
     """
     width, height = form.read_size_px
     across, down = form.chroma_factors

@@ -20,10 +20,11 @@ from chromaperture.capture.recording import ReplaySource
 from chromaperture.capture.simulated import SimulatedSource
 from chromaperture.capture.source import FileSource, Listener, Source
 from chromaperture.capture.threaded_source import LiveSource
-from chromaperture.capture.video import VIDEOS, VideoSource
+from chromaperture.capture.video import VideoSource
 from chromaperture.capture.webcam import Webcam, webcams
 from chromaperture.color.encoding import Encoding
 from chromaperture.errors import InputError, MissingDependencyError
+from chromaperture.shots import VIDEOS
 
 _DEVICES: dict[str, Callable[..., Any]] = {"webcam": Webcam, "aravis": AravisCamera, "picamera2": PiCamera}
 _FILES: dict[str, Callable[..., FileSource]] = {

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from chromaperture.color.color_space import UNTAGGED, ColorSpace, Transfer
-from chromaperture.color.encoding import Encoding
-from chromaperture.errors import InputError
+from chromaperture.color.encoding import Encoding, Siting, StatedFacts
 
-Siting = Literal["centre", "left", "top-left"]
-SITINGS: tuple[Siting, ...] = get_args(Siting)
 KnownFrom = Literal["tag", "default", "option"]
 # Columns and rows of luma to one chroma sample (J.143 notation; of 4:1:0 both are 4).
 _FACTORS = {(1, 1): "4:4:4", (2, 1): "4:2:2", (2, 2): "4:2:0", (4, 1): "4:1:1", (1, 2): "4:4:0", (4, 4): "4:1:0"}
@@ -22,31 +19,6 @@ LUMA_WEIGHTS = {1: (0.2126, 0.0722), 2: (0.299, 0.114), 4: (0.30, 0.11), 5: (0.2
 LUMA_WEIGHTS[0] = LUMA_WEIGHTS[2]  # what encoders write that do not know it
 SENSOR_LIGHT = ColorSpace("", None, Transfer("linear"))  # of RAW files: light in the sensor's own colours
 FORM = "photograph_format"  # in results, metadata of frames, and the provenance of camera files
-
-
-@dataclass(frozen=True)
-class StatedFacts:
-    """What a person says of files that they do not say themselves; None: nothing.
-
-    Attributes
-    ----------
-    siting : {"centre", "left", "top-left"}, optional
-        Place of a subsampled file's chroma samples among those of luma.
-    primaries : {"srgb"}, optional
-        Of files whose tag is wrong.
-    """
-
-    siting: Siting | None = None
-    primaries: Literal["srgb"] | None = None
-
-    def __post_init__(self) -> None:
-        if self.primaries not in (None, "srgb"):
-            raise InputError(f"unknown primaries {self.primaries!r}: choose srgb, or leave it to the file's tag")
-        if self.siting is not None and self.siting not in SITINGS:
-            raise InputError(f"unknown chroma siting {self.siting!r}: choose {', '.join(SITINGS)}")
-
-
-NOTHING_STATED = StatedFacts()
 
 
 @dataclass(frozen=True)
@@ -111,11 +83,13 @@ class PictureFormat:
     def is_encoded(self) -> bool:
         """Whether values are not light: tagged so, or not tagged and of 8 bits or stored as luma and chroma."""
         transfer = self.space.transfer
+        if self.mosaic is not None:
+            return False
         return (self.bits == 8 or self.luma_weights is not None) if transfer is None else transfer.name != "linear"
 
     def with_stated(self, stated: StatedFacts) -> PictureFormat:
         """Return the same with what a person says in place of the tag."""
-        if stated.primaries is None:
+        if stated.primaries is None or self.mosaic is not None:
             return self
         space = ColorSpace("sRGB primaries, as stated", None, self.space.transfer)
         return replace(self, space=space, known_from={**self.known_from, "primaries": "option"})
@@ -155,15 +129,3 @@ def reduced_sides(size_px: tuple[int, int], factor: int) -> tuple[int, int]:
 def described(form: PictureFormat | None) -> dict[str, Any]:
     """Return the metadata of a frame, or of a result: what its file is."""
     return {} if form is None else {FORM: form.record()}
-
-
-def stated_in(provenance: Mapping[str, Any]) -> StatedFacts:
-    """Return what was said of the files that a camera was calibrated on, by its file's provenance."""
-    record = provenance.get(FORM)
-    if not isinstance(record, Mapping) or not isinstance(known := record.get("known_from"), Mapping):
-        return NOTHING_STATED
-    siting = record.get("siting")
-    return StatedFacts(
-        siting if known.get("siting") == "option" and siting in SITINGS else None,
-        "srgb" if known.get("primaries") == "option" else None,
-    )

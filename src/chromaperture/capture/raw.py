@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.capture.bayer import superpixels
+from chromaperture.capture.bayer import check_not_quad, quad, superpixels
 from chromaperture.capture.picture_format import SENSOR_LIGHT, PictureFormat
 from chromaperture.capture.picture_header import check_size
-from chromaperture.capture.raw_container import check_complete
-from chromaperture.color.encoding import Encoding
+from chromaperture.capture.raw_container import black_of_cells, check_complete, check_kind, developed
+from chromaperture.color.encoding import PATTERNS, Encoding
 from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.validation import quoted
 
@@ -34,45 +34,31 @@ def raw_format(path: Path) -> PictureFormat:
 
 
 def read_raw(path: Path, *, size_px: tuple[int, int] | None = None) -> tuple[np.ndarray, Encoding]:
-    """Read the mosaic and make one pixel of every 2 x 2 cell.
+    """Read the mosaic and make one pixel of every 2 x 2 cell; counts are twice its, levels the file's own, doubled.
 
-    Parameters
-    ----------
-    path : Path
-    size_px : (int, int), optional
-        Width and height of the camera, whose pixels are these cells; see `check_size`.
-
-    Returns
-    -------
-    counts : (H, W, 3) uint16 or float32, twice the mosaic's
-    encoding : Encoding
-        With the file's own levels, doubled too.
-
-    Raises
-    ------
-    MissingDependencyError
-        rawpy is not installed.
-    InputError
-        A file that cannot be read or ends too early, or a sensor without a Bayer mosaic.
+    Raises InputError for what cannot be read, ends too early or is no Bayer mosaic; MissingDependencyError.
     """
     with _opened(path) as raw:
         check_size(raw.sizes.width // 2, raw.sizes.height // 2, path.name, size_px)
         layout = None if raw.raw_pattern is None else np.asarray(raw.raw_pattern)
         if layout is None or layout.shape != (2, 2) or raw.raw_image_visible.ndim != 2:
-            raise InputError(
-                f"{path.name} has no Bayer mosaic (X-Trans, Foveon or already developed); "
-                "develop it with 'dcraw -4 -q 0 -o 0 -r 1 1 1 1 -T FILE' (linear, camera colours, unmixed)"
-            )
+            what = "an X-Trans mosaic" if layout is not None and layout.shape == (6, 6) else "no Bayer mosaic"
+            raise InputError(f"{path.name} has {what}, of which no 2 x 2 cells can be made; {developed(path.name)}")
         # The pattern begins at the sensor's corner, the picture behind a masked border: perhaps an odd pixel away.
         top, left = raw.sizes.top_margin, raw.sizes.left_margin
         layout = np.roll(layout, (-top, -left), axis=(0, 1))
         mosaic = raw.raw_image_visible.copy()
-        black = np.array(raw.black_level_per_channel, float)[layout]
+        black = black_of_cells(path, top, left)
+        if black is None:
+            black = np.array(raw.black_level_per_channel, float)[layout]
         names, white = raw.color_desc.decode(), _white_level(raw)
     pattern = "".join(names[i] for i in layout.ravel())
-    counts, encoding = superpixels(mosaic, pattern, black_level=float(black.mean()), white_level=white)
+    if pattern not in PATTERNS and set(pattern) <= set("RGB"):  # LibRaw folds the 4 x 4 pattern of a DNG
+        raise InputError(quad(path.name))
     if np.ptp(black) > 0:
-        counts = _with_one_black(counts, pattern, black)
+        mosaic = _with_one_black(mosaic, black)
+    check_not_quad(mosaic, path.name, black_level=float(black.mean()))
+    counts, encoding = superpixels(mosaic, pattern, black_level=float(black.mean()), white_level=white)
     return counts, replace(encoding, given=False)  # the levels of the camera file are more exact
 
 
@@ -85,12 +71,11 @@ def _white_level(raw: Any) -> float:
     return float(min([raw.white_level, *(level for level in stated if level > 0)]))
 
 
-def _with_one_black(counts: np.ndarray, pattern: str, black: np.ndarray) -> np.ndarray:
-    """Move the counts of each colour so that black is at the mean of the cell's black levels; (H, W, 3) float32."""
-    moved = counts.astype(np.float32)
-    for place, level in zip(pattern, black.ravel(), strict=True):
-        factor = 1 if place == "G" else 2  # as in `superpixels`: a cell has two G
-        moved[..., "RGB".index(place)] -= np.float32(factor * (level - black.mean()))
+def _with_one_black(mosaic: np.ndarray, black: np.ndarray) -> np.ndarray:
+    """Move the counts of each photosite so that black is at the mean of the repeating cell's levels; (H, W) float32."""
+    moved = mosaic.astype(np.float32)
+    for (row, column), level in np.ndenumerate(black):
+        moved[row :: black.shape[0], column :: black.shape[1]] -= np.float32(level - black.mean())
     return moved
 
 
@@ -106,6 +91,7 @@ def _opened(path: Path) -> Iterator[Any]:
             f"{path.name} is a RAW file; install the extra that reads them: pip install 'chromaperture[raw]'"
         ) from None
     try:
+        check_kind(path)
         with rawpy.imread(str(path)) as raw:
             check_complete(path)
             yield raw

@@ -206,7 +206,7 @@ class ReplaySource(FileSource):
 def _recorded(encoding: Encoding, dtype: np.dtype[Any]) -> dict[str, Any]:
     """Return the fields to record; null for levels that are those of the number format alone."""
     fields = asdict(encoding)
-    del fields["response"]  # of the camera file, which is read again
+    del fields["response"], fields["stated"]  # of the camera file, which is read again
     if not encoding.given and encoding == format_encoding(dtype):
         fields["black_level"] = fields["white_level"] = None
     return fields

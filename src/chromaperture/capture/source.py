@@ -56,8 +56,9 @@ def choose_encoding(
     given = (black_level, white_level)
     known = (None, None) if camera is None else (camera.black_level, camera.white_level)
     black, white = (level if level is not None else of_camera for level, of_camera in zip(given, known, strict=True))
-    is_guess = white is None and not (own.given or own.is_encoded) and own.white_level == 65535
-    if is_guess and 0 < counts.max(initial=0) < _TWELVE_BITS:
+    factor = 1 if own.channel_offsets_px == CENTRED else 2
+    is_guess = white is None and not (own.given or own.is_encoded) and own.white_level == 65535 * factor
+    if is_guess and 0 < counts.max(initial=0) < _TWELVE_BITS * factor:
         warnings.warn(
             f"a 16-bit picture without a count above {_TWELVE_BITS - 1}; if the sensor has fewer bits, "
             "give --white-level",
@@ -66,7 +67,6 @@ def choose_encoding(
         )
     if black is None and white is None:
         return own
-    factor = 1 if own.channel_offsets_px == CENTRED else 2
     curve = {} if camera is None else {"curve": camera.curve, "curve_parameters": camera.curve_parameters}
     return replace(
         own,

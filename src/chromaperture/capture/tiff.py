@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import logging
 import math
+import warnings
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 import tifffile
 
-from chromaperture.errors import InputError
+from chromaperture.errors import CaptureWarning, InputError
 from chromaperture.validation import MOST_PIXELS
 
 # An error is one line of ours: without a handler, Python prints what libraries log.
@@ -21,6 +24,9 @@ _ICC_PROFILE, _ORIENTATION = 34675, 274  # tags
 _MOST_SAMPLES = 4  # of a pixel: R, G, B and alpha
 _DEFLATE = {tifffile.COMPRESSION.ADOBE_DEFLATE, tifffile.COMPRESSION.DEFLATE}
 _COMPRESSIONS = _DEFLATE | {tifffile.COMPRESSION.NONE, tifffile.COMPRESSION.LZW, tifffile.COMPRESSION.PACKBITS}
+_MOST_PAGES = 8  # that are looked at: finding all pages of a hostile file can take minutes
+_REDUCED, _MASK = 1, 4  # bits of NewSubfileType: a preview, a transparency mask
+_COLOURS = {5: "CMYK", 6: "YCbCr", 8: "L*a*b*", 9: "L*a*b*", 10: "L*a*b*", 32844: "LogL", 32845: "LogLuv"}
 _PIECE_BYTES = 1_000_000  # unpacked at a time where only the size is wanted
 
 
@@ -29,34 +35,30 @@ def no_check(width: int, height: int) -> None:
 
 
 def decode_tiff(data: bytes, name: str, *, check: Callable[[int, int], None] = no_check) -> np.ndarray:
-    """Decode the first picture of a file.
+    """Decode the largest picture among the first pages of a file, as stored, (H, W) or (H, W, S).
 
-    Only the first page is looked at: finding the pages and series of a hostile file can take minutes.
-
-    Parameters
-    ----------
-    data : bytes
-    name : str
-        Of the file, for messages.
-    check : callable
-        Called with width and height before anything is unpacked; raises InputError.
-
-    Returns
-    -------
-    (H, W) or (H, W, S) array, as stored
-
-    Raises
-    ------
-    InputError
-        The file is damaged, holds no pixel, or unpacks to more than it declares.
+    ``check`` is called with width and height before anything is unpacked. Raises InputError where the file is damaged,
+    holds no pixel, or unpacks to more than it declares.
     """
+    with _opened(data, name) as (page, others):
+        _check_page(page, name)
+        check(page.imagewidth, page.imagelength)
+        _check_segments(page, data)
+        counts = np.asarray(page.asarray(maxworkers=1))
+        if page.planarconfig == tifffile.PLANARCONFIG.SEPARATE and counts.ndim == 3:
+            counts = np.ascontiguousarray(np.moveaxis(counts, 0, -1))
+    if others:
+        text = f"{name} holds more than one picture of this size: the first is read"
+        warnings.warn(text, CaptureWarning, stacklevel=5)
+    return counts
+
+
+@contextlib.contextmanager
+def _opened(data: bytes, name: str) -> Iterator[tuple[tifffile.TiffPage, bool]]:
+    """Open a file at its picture, see `_picture`; what is raised on a damaged one becomes InputError."""
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as file:
-            page = file.pages.first
-            _check_page(page, name)
-            check(page.imagewidth, page.imagelength)
-            _check_segments(page, data)
-            return np.asarray(page.asarray(maxworkers=1))
+            yield _picture(file)
     except InputError:
         raise
     except Exception:  # tifffile raises anything on a damaged file
@@ -66,33 +68,32 @@ def decode_tiff(data: bytes, name: str, *, check: Callable[[int, int], None] = n
 
 
 class TiffHeader(NamedTuple):
-    """What the first picture of a TIFF file is; ``profile``: its ICC profile, ``orientation``: EXIF's code."""
+    """What the picture of a TIFF file is; ``profile``: its ICC profile, ``orientation``: EXIF's code."""
 
     size_px: tuple[int, int]
     bits: int
+    samples: int
     profile: bytes | None
     orientation: int
 
 
 def tiff_header(data: bytes, name: str) -> TiffHeader:
-    """Return the header of the first picture; raises InputError like `decode_tiff`."""
-    try:
-        with tifffile.TiffFile(io.BytesIO(data)) as file:
-            page = file.pages.first
-            _check_page(page, name)
-            size = int(page.imagewidth), int(page.imagelength)
-            profile, orientation = (page.tags.get(code) for code in (_ICC_PROFILE, _ORIENTATION))
-            bits = int(np.dtype(page.dtype).itemsize * 8)
-            return TiffHeader(
-                size, bits, None if profile is None else bytes(profile.value),
-                1 if orientation is None else int(orientation.value),
-            )  # fmt: skip
-    except InputError:
-        raise
-    except Exception:
-        raise InputError(
-            f"{name} is damaged or not a TIFF file with a picture; copy or export the file again"
-        ) from None
+    """Return what the picture of a file is; raises InputError like `decode_tiff`."""
+    with _opened(data, name) as (page, _):
+        _check_page(page, name)
+        profile, orientation = (page.tags.get(code) for code in (_ICC_PROFILE, _ORIENTATION))
+        return TiffHeader(
+            (int(page.imagewidth), int(page.imagelength)), 8 * np.dtype(page.dtype).itemsize, page.samplesperpixel,
+            None if profile is None else bytes(profile.value), 1 if orientation is None else int(orientation.value),
+        )  # fmt: skip
+
+
+def _picture(file: tifffile.TiffFile) -> tuple[tifffile.TiffPage, bool]:
+    """Return the largest of the first pages that are no previews or masks, and whether another is as large."""
+    pages = [page for page in islice(file.pages, _MOST_PAGES) if isinstance(page, tifffile.TiffPage)]
+    full = [page for page in pages if not page.subfiletype & (_REDUCED | _MASK) and page.shape] or pages[:1]
+    sizes = [page.imagewidth * page.imagelength for page in full]
+    return full[sizes.index(max(sizes))], sizes.count(max(sizes)) > 1
 
 
 def _check_page(page: tifffile.TiffPage, name: str) -> None:
@@ -104,6 +105,10 @@ def _check_page(page: tifffile.TiffPage, name: str) -> None:
     too_many = page.imagewidth * page.imagelength > MOST_PIXELS or tile > MOST_PIXELS
     if too_many or page.samplesperpixel > _MOST_SAMPLES or page.imagedepth != 1 or math.prod(shape) > 4 * MOST_PIXELS:
         raise InputError(f"{name} holds an array of shape {shape}; one RGB picture is needed")
+    if page.photometric in _COLOURS:
+        raise InputError(
+            f"{name} holds {_COLOURS[page.photometric]} colours, not RGB; export it as RGB of 16 bits, linear"
+        )
     if page.compression not in _COMPRESSIONS:
         raise InputError(f"{name} is compressed in a way that is not read; export it as TIFF without compression")
 

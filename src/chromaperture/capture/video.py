@@ -11,12 +11,11 @@ import av.container
 
 from chromaperture.capture.checks import check_primaries
 from chromaperture.capture.decoded_frame import counts_of_frame, format_of_frame
-from chromaperture.capture.picture_format import PictureFormat, Siting, StatedFacts, described
+from chromaperture.capture.picture_format import PictureFormat, described
 from chromaperture.capture.source import Event, FileSource, Frame, Listener, checked_fps, choose_encoding
-from chromaperture.color.encoding import Encoding
+from chromaperture.color.encoding import Encoding, Siting, StatedFacts
 from chromaperture.errors import InputError
 
-VIDEOS = {".avi", ".m4v", ".mjpeg", ".mkv", ".mov", ".mp4", ".mpg", ".mts", ".ts", ".webm", ".y4m"}
 _CENTRED_Y4M = (b" C420jpeg", b" C420 ", b" C420\n")  # mjpegtools' names of 4:2:0; the others say where it is
 
 
@@ -54,6 +53,8 @@ class VideoSource(FileSource):
         super().__init__(path, listener=listener)
         self.fps = None if fps is None else checked_fps(fps)
         self.stated = StatedFacts(siting, primaries)
+        if camera_encoding is not None:
+            self.stated = self.stated.or_else(camera_encoding.stated)
         self.levels: dict[str, Any] = {"black_level": black_level, "white_level": white_level}
         self.levels["camera_encoding"] = camera_encoding
         self._clip: av.container.InputContainer | None = None

@@ -8,7 +8,17 @@ from typing import Annotated
 
 import typer
 
-from chromaperture.cli.options import BlackLevel, Camera, Json, Quiet, WhiteLevel, inner_corners
+from chromaperture.cli.options import (
+    BlackLevel,
+    Camera,
+    ChromaSiting,
+    Json,
+    Mosaic,
+    Primaries,
+    Quiet,
+    WhiteLevel,
+    inner_corners,
+)
 from chromaperture.errors import CaptureWarning, InputError
 
 _STYLES = {"ok": "green", "warn": "bold red", "cannot tell": "dim"}
@@ -23,6 +33,9 @@ def check(
     square_mm: Annotated[float | None, typer.Option(help="Side of its squares, mm; default the calibration's.")] = None,
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
+    mosaic: Mosaic = None,
+    siting: ChromaSiting = None,
+    primaries: Primaries = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -36,15 +49,17 @@ def check(
 
     from rich.markup import escape
 
-    from chromaperture.camera import load_camera
+    from chromaperture.camera import CodedApertureCamera
+    from chromaperture.camera_file import Calibration
     from chromaperture.camera_parts import Board
     from chromaperture.capture.developed import other_colours
     from chromaperture.capture.exif import read_exif
     from chromaperture.cli.console import out as console
     from chromaperture.cli.console import print_json, table
+    from chromaperture.cli.setup import stated_facts, with_stated
     from chromaperture.evaluation.health import Check, check_camera, is_healthy, outcome
 
-    eye = load_camera(camera)
+    eye = CodedApertureCamera(with_stated(Calibration.load(camera), stated_facts(siting, primaries, mosaic)))
     known = eye.calibration.board
     size = inner_corners(board) if board else known.inner_corners if known else (9, 6)
     side_mm = square_mm if square_mm is not None else known.square_mm if known else None

@@ -16,11 +16,14 @@ from chromaperture.cli.options import (
     Anyway,
     BlackLevel,
     CameraOrDesign,
+    ChromaSiting,
     CropOrigin,
     Design,
     Device,
     Json,
     MaxRelativeSigma,
+    Mosaic,
+    Primaries,
     Quality,
     Quiet,
     Scale,
@@ -55,6 +58,9 @@ def depth(
     device: Device = "auto",
     black_level: BlackLevel = None,
     white_level: WhiteLevel = None,
+    mosaic: Mosaic = None,
+    siting: ChromaSiting = None,
+    primaries: Primaries = None,
     max_relative_sigma: MaxRelativeSigma = MAX_RELATIVE_SIGMA,
     write: Annotated[
         str | None,
@@ -97,20 +103,29 @@ def depth(
     from chromaperture.cli.console import compile_kernels
     from chromaperture.frame.frame_files import chosen_outputs
     from chromaperture.products.archive_store import as_path, find_photographs, is_url, names_in_list
+    from chromaperture.shots import VIDEOS
 
     listed = [] if files_from is None else names_in_list(files_from)
     if cluster is None and any(is_url(name) for name in (*(images or ()), *listed, out or "")):
         raise InputError("URLs are read and written by the workers of a cluster: give its scheduler with --cluster")
-    names = find_photographs(images or ()) + listed
+    left_out: dict[Path, str] = {}
+    names = find_photographs(images or (), kind=partial(kind_of_files, camera), left_out=left_out) + listed
     if not names:
         raise InputError("give photographs, folders of them, or a list of them with --files-from")
+    clip = next((name for name in names if Path(name).suffix.lower() in VIDEOS), None)
+    if clip is not None:
+        raise InputError(
+            f"{clip} is a video; measure its frames with: chromaperture export {clip} OUT --camera {camera or 'CAM'}"
+        )
     refuse_common_results(names, out)
     chosen_outputs(write, is_calibrated=camera is not None)  # before the work
     if device not in ("auto", "cpu") and (cluster is not None or jobs > 1):
         raise InputError("--cluster and --jobs measure on CPUs: leave --device out, or measure one at a time")
+    from chromaperture.cli.setup import stated_facts
+
     settings: dict[str, Any] = {
         "quality": quality, "config": config, "scale": working_scale(scale), "crop_origin_px": crop_from(crop_origin),
-        "device": device,
+        "device": device, "stated": stated_facts(siting, primaries, mosaic),
     }  # fmt: skip
     options: dict[str, Any] = {
         "write": write, "black_level": black_level, "white_level": white_level,
@@ -125,7 +140,7 @@ def depth(
             raise InputError("--cluster measures depth: give the camera file with --camera, and no --design")
         opened = camera_for(Path(names[0]), camera, None, **settings | {"device": "cpu"})
         recipe = recipe_for(camera, opened, out=out, again=again, **options)
-        measure_archive(names, recipe, cluster, json=json, quiet=quiet)
+        measure_archive(names, recipe, cluster, left_out=left_out, json=json, quiet=quiet)
         return
     from chromaperture.cli.depth_batch import measure_batch
 
@@ -145,8 +160,17 @@ def depth(
     note = "No calibration: disparity in px only. Depth in mm needs a camera file (--camera)."
     measure_batch(
         paths, camera_of, recipe=made_by, jobs=jobs, json=json, quiet=quiet, note=note if camera is None else "",
-        out=None if out is None else as_path(out), **options,
+        left_out=left_out, out=None if out is None else as_path(out), **options,
     )  # fmt: skip
+
+
+def kind_of_files(camera: Path | None) -> str:
+    """Return the suffix of the photographs that a camera was calibrated on; empty where it does not tell."""
+    from chromaperture.camera_file import Calibration
+    from chromaperture.shots import is_photograph
+
+    files = {} if camera is None else Calibration.load(camera).provenance.get("files", {})
+    return next((path.suffix.lower() for path in map(Path, files) if is_photograph(path)), "")
 
 
 def jobs_in_memory(camera: CodedApertureCamera, jobs: int) -> int:
@@ -202,7 +226,7 @@ def cameras(
     of_sizes: dict[tuple[int, int], CodedApertureCamera] = {}
 
     def of_size(image: Path) -> CodedApertureCamera:
-        size = image_size(image)
+        size = image_size(image, settings["stated"])
         if size not in of_sizes:
             of_sizes[size] = camera_for(image, None, design, **settings)
         return of_sizes[size]

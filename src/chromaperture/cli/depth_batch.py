@@ -6,7 +6,7 @@ import contextlib
 import json as json_text
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +21,7 @@ from chromaperture.products.archive_cluster import Recipe, RecipeOrigin
 from chromaperture.products.archive_store import absolute
 from chromaperture.products.batch import measure_in_processes
 from chromaperture.products.measure_file import Written
+from chromaperture.shots import counted
 
 if TYPE_CHECKING:
     from chromaperture.camera import CodedApertureCamera
@@ -48,11 +49,13 @@ def measure_batch(
     json: bool,
     quiet: bool,
     note: str,
+    left_out: Mapping[Path, str],
     **options: Any,
 ) -> None:
     """Measure photographs, report them, and end with 1 where some could not be measured, with 2 where none could.
 
-    ``recipe`` is there for a camera that was calibrated: results that it made before are kept.
+    ``recipe`` is there for a camera that was calibrated: results that it made before are kept. ``left_out`` are files
+    that are no photographs, see `one_of_each`.
     """
     batch, began = Batch(), time.monotonic()
     with contextlib.suppress(ChromapertureError):  # a photograph without a size, where the camera is made for its size
@@ -66,14 +69,22 @@ def measure_batch(
             update(f"{what} ({len(batch.failed)} failed)" if batch.failed else what, done, len(images))
     seconds = time.monotonic() - began
     if json:
-        print_json([report.summary | {"files": [str(path) for path in report.files]} for report in batch.reports])
+        reports = [report.summary | {"files": [str(path) for path in report.files]} for report in batch.reports]
+        print_json(reports + [{"image": path.name, "left_out": reason} for path, reason in left_out.items()])
     elif not quiet:
         _print(batch, len(images), seconds, note)
+        print_left_out(left_out)
     if batch.failed:
         if len(images) > 1:
             names = ", ".join(Path(image).name for image, _ in batch.failed)
             say_error(f"{len(batch.failed)} of {len(images)} photographs could not be measured: {names}")
         raise typer.Exit(1 if batch.reports else 2)
+
+
+def print_left_out(left_out: Mapping[Path, str]) -> None:
+    """Say which files of folders were not measured; nothing where all were."""
+    if left_out:
+        out.print(f"Left out: {counted(left_out)}", soft_wrap=True, markup=False, highlight=False)
 
 
 def _here(

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import typer
 
 from chromaperture.cli.console import out, print_json, progress, say_error
+from chromaperture.cli.depth_batch import print_left_out
 from chromaperture.errors import CaptureWarning, InputError
 from chromaperture.products.archive_cluster import Outcome, Recipe, measure_on_cluster
 
 
-def measure_archive(images: Sequence[str], recipe: Recipe, address: str, *, json: bool, quiet: bool) -> None:
+def measure_archive(
+    images: Sequence[str], recipe: Recipe, address: str, *, left_out: Mapping[Path, str], json: bool, quiet: bool
+) -> None:
     """Measure photographs on a cluster, print each failure as it happens and a summary.
 
     The exit code is 1 where some could not be measured, 2 where none could.
@@ -45,9 +49,12 @@ def measure_archive(images: Sequence[str], recipe: Recipe, address: str, *, json
     seconds = time.monotonic() - began
     if json:
         failures = [{"image": outcome.image, "error": outcome.error} for outcome in failed]
-        print_json({"measured": measured, "kept": kept, "failed": failures, "seconds": round(seconds, 1)})
+        others = [{"image": path.name, "left_out": reason} for path, reason in left_out.items()]
+        counts = {"measured": measured, "kept": kept, "failed": failures, "left_out": others}
+        print_json(counts | {"seconds": round(seconds, 1)})
     elif not quiet:
         out.print(f"{len(images)} photographs in {seconds:.0f} s: {_counts(measured, kept, len(failed))}")
+        print_left_out(left_out)
     if failed:
         raise typer.Exit(1 if measured or kept else 2)
 

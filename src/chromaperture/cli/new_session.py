@@ -7,7 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
-from chromaperture.cli.options import BOARDS_PANEL, CAMERA_PANEL, FarthestMm, NearestMm, Quiet, inner_corners
+from chromaperture.cli.options import BOARDS_PANEL, CAMERA_PANEL, FarthestMm, Mosaic, NearestMm, Quiet, inner_corners
+from chromaperture.color.encoding import StatedFacts
 from chromaperture.errors import InputError
 
 app = typer.Typer(help="Prepare a calibration session.", no_args_is_help=True)
@@ -35,6 +36,7 @@ def new(
         Path | None,
         typer.Option(help="Any photograph of this camera: its format, size, lens.", rich_help_panel=CAMERA_PANEL),
     ] = None,
+    mosaic: Mosaic = None,
     nearest_mm: NearestMm = 1000.0,
     farthest_mm: FarthestMm = 4000.0,
     distances: Annotated[
@@ -54,9 +56,11 @@ def new(
     chromaperture session new my_session --photo photo.png --sensor-width-mm 22.3
     """
     from chromaperture.calibration.session_plan import FOLDERS, PlannedSession, plan_files
+    from chromaperture.cli.setup import stated_facts
     from chromaperture.optics.aperture import design_named
     from chromaperture.storage import staged
 
+    stated = stated_facts(None, None, mosaic)
     plan = PlannedSession(
         design=design_named(design).name,
         nearest_mm=nearest_mm,
@@ -67,7 +71,8 @@ def new(
         inner_corners=inner_corners(board),
         square_mm=square_mm,
         sensor_width_mm=sensor_width_mm,
-        **({} if photo is None else _facts(photo)),
+        mosaic=mosaic,
+        **({} if photo is None else _facts(photo, stated)),
     )
     files = plan_files(plan)
     for name in files:
@@ -87,12 +92,12 @@ def new(
             typer.echo(f"Photograph what {folder / 'shots.md'} lists")
 
 
-def _facts(photo: Path) -> dict[str, Any]:
+def _facts(photo: Path, stated: StatedFacts) -> dict[str, Any]:
     """Read from a photograph what the plan keeps of it."""
     from chromaperture.capture.exif import read_exif
     from chromaperture.capture.files import decode
 
-    decoded = decode(photo)
+    decoded = decode(photo, stated=stated)
     height, width = decoded.array.shape[:2]
     exif = read_exif(photo)
     facts: dict[str, Any] = {

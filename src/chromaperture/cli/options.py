@@ -65,6 +65,24 @@ CropOrigin = Annotated[
 _LEVEL_DEFAULT = "default the camera file's, else the file format's"
 BlackLevel = Annotated[float | None, typer.Option(help=f"Counts of no light; {_LEVEL_DEFAULT}.")]
 WhiteLevel = Annotated[float | None, typer.Option(help=f"Counts of a full well; {_LEVEL_DEFAULT}.")]
+Mosaic = Annotated[
+    str | None,
+    typer.Option(
+        help="Grey files are the mosaic of a Bayer sensor: RGGB, BGGR, GRBG or GBRG.",
+        autocompletion=lambda: ["RGGB", "BGGR", "GRBG", "GBRG"],
+    ),
+]
+ChromaSiting = Annotated[
+    str | None,
+    typer.Option(
+        "--siting",
+        help="Where subsampled chroma lies among luma: centre, left or top-left; default centre, of video left.",
+        autocompletion=lambda: ["centre", "left", "top-left"],
+    ),
+]
+Primaries = Annotated[
+    str | None, typer.Option(help="srgb: the files' primaries, where their tag is wrong; default the tag's.")
+]
 MaxRelativeSigma = Annotated[
     float,
     typer.Option(help="Largest sigma/depth in what carries no error bar (points, PNG, TUM, MCAP); inf keeps all."),

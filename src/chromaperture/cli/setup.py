@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
 from chromaperture.capture.files import image_size
+from chromaperture.color.encoding import NOTHING_STATED, StatedFacts
 from chromaperture.config import Quality
 from chromaperture.config_file import with_file
 from chromaperture.errors import InputError
@@ -25,16 +26,30 @@ def camera_for(
     scale: int | Literal["auto"] = "auto",
     crop_origin_px: tuple[int, int] | None = None,
     device: str = "auto",
+    stated: StatedFacts = NOTHING_STATED,
 ) -> CodedApertureCamera:
     """Open the camera file, or make an uncalibrated camera of the image's size for a design."""
     if (camera is None) == (design is None):
         raise InputError("give either --camera CAMERA.asdf, or --design NAME for disparity without calibration")
     if camera is not None:
-        calibration = Calibration.load(camera)
+        calibration = with_stated(Calibration.load(camera), stated)
     else:
-        width, height = image_size(image)
-        calibration = Calibration.uncalibrated(cast(str, design), width_px=width, height_px=height)
+        width, height = image_size(image, stated)
+        uncalibrated = Calibration.uncalibrated(cast(str, design), width_px=width, height_px=height)
+        calibration = with_stated(uncalibrated, stated)
     if crop_origin_px is not None and camera is None:
         raise InputError("--crop-origin is a place in the frame of a calibrated camera: give its file with --camera")
     settings = replace(default_config(calibration, cast(Quality, quality), scale=scale), crop_origin_px=crop_origin_px)
     return CodedApertureCamera(calibration, settings if config is None else with_file(settings, config), device=device)
+
+
+def stated_facts(siting: str | None, primaries: str | None, mosaic: str | None) -> StatedFacts:
+    """Return what options say of files; raises InputError for a value that is none of the known."""
+    return StatedFacts(cast(Any, siting), cast(Any, primaries), cast(Any, mosaic))
+
+
+def with_stated(calibration: Calibration, stated: StatedFacts) -> Calibration:
+    """Return a camera of whose files these facts are stated, too."""
+    known = stated.or_else(calibration.sensor.encoding.stated)
+    facts = {"siting": known.siting, "primaries": known.primaries, "mosaic": known.mosaic}
+    return replace(calibration, sensor=replace(calibration.sensor, **facts))  # type: ignore[arg-type]

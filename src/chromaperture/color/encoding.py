@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, get_args
 
 import cv2
 import numpy as np
@@ -14,8 +14,44 @@ from chromaperture.errors import InputError
 from chromaperture.threads import each_band
 
 Offsets = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+Siting = Literal["centre", "left", "top-left"]
+Pattern = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
+SITINGS: tuple[Siting, ...] = get_args(Siting)
+PATTERNS: tuple[Pattern, ...] = get_args(Pattern)
 _LEVELS = 65536  # of a curve's table: steps of a 250th of a count of 8 bits
 CENTRED: Offsets = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+
+
+@dataclass(frozen=True)
+class StatedFacts:
+    """What a person says of files that they do not say themselves; None: nothing.
+
+    Attributes
+    ----------
+    siting : {"centre", "left", "top-left"}, optional
+        Place of a subsampled file's chroma samples among those of luma.
+    primaries : {"srgb"}, optional
+        Of files whose tag is wrong.
+    mosaic : {"RGGB", "BGGR", "GRBG", "GBRG"}, optional
+        Grey files are such a mosaic of a Bayer sensor.
+    """
+
+    siting: Siting | None = None
+    primaries: Literal["srgb"] | None = None
+    mosaic: Pattern | None = None
+
+    def __post_init__(self) -> None:
+        for name, known in {"siting": SITINGS, "primaries": ("srgb",), "mosaic": PATTERNS}.items():
+            value = getattr(self, name)
+            if value is not None and value not in known:
+                raise InputError(f"unknown {name} {value!r}: choose {', '.join(known)}")
+
+    def or_else(self, other: StatedFacts) -> StatedFacts:
+        """Return the same, and of what is not stated what the other states."""
+        return StatedFacts(self.siting or other.siting, self.primaries or other.primaries, self.mosaic or other.mosaic)
+
+
+NOTHING_STATED = StatedFacts()
 
 
 @dataclass(frozen=True)
@@ -39,6 +75,8 @@ class Encoding:
         Of the curve.
     to_srgb : (9,) tuple of float, optional
         Rows of the matrix from the file's primaries to those of sRGB, of light.
+    stated : StatedFacts
+        Of a camera: what a person said of its files.
     """
 
     black_level: float = 0.0
@@ -49,6 +87,7 @@ class Encoding:
     given: bool = field(default=True, compare=False)
     curve_parameters: tuple[float, ...] = ()
     to_srgb: tuple[float, ...] | None = None
+    stated: StatedFacts = field(default=NOTHING_STATED, compare=False)
 
     def __post_init__(self) -> None:
         if not (np.isfinite([self.black_level, self.white_level]).all() and self.white_level > self.black_level):

@@ -114,6 +114,7 @@ def recipe_for(
     settings = {
         "config": dataclasses.asdict(camera.config), "outputs": outputs, "levels": (black_level, white_level),
         "max_relative_sigma": max_relative_sigma, "quality": camera.config.quality,
+        "mosaic": camera.calibration.sensor.mosaic,
     }  # fmt: skip
     made_from = (
         ("camera_sha256", store.content_hash(str(camera_file))),

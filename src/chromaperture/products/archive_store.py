@@ -6,14 +6,14 @@ import contextlib
 import glob
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from chromaperture.capture.files import is_photograph
 from chromaperture.errors import ChromapertureError, InputError, MissingDependencyError
 from chromaperture.frame.frame_files import OUTPUTS
+from chromaperture.shots import counted, one_of_each
 
 # Stores where an object appears whole when its upload ends, so that it needs no temporary name.
 _WHOLE_OBJECTS = {"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "oci", "memory"}
@@ -53,10 +53,20 @@ def joined(folder: str, name: str) -> str:
     return f"{folder.rstrip('/')}/{name}" if is_url(folder) else str(as_path(folder) / name)
 
 
-def find_photographs(inputs: Iterable[str]) -> list[str]:
+def find_photographs(
+    inputs: Iterable[str], *, kind: Callable[[], str] = lambda: "", left_out: dict[Path, str] | None = None
+) -> list[str]:
     """Expand folders and patterns to the photographs in them, without results of earlier runs, by name.
 
     A pattern is one of `glob`, ``**`` for folders at any depth. Everything else is returned as given.
+
+    Parameters
+    ----------
+    inputs : iterable of str
+    kind : callable
+        See `one_of_each`.
+    left_out : dict, optional
+        Gets the pictures and videos that were left out, with the reason.
 
     Raises
     ------
@@ -68,10 +78,17 @@ def find_photographs(inputs: Iterable[str]) -> list[str]:
         found = _in_store(given) if is_url(given) else _on_disk(given)
         if found is None:
             photographs.append(given)
-        elif not (fitting := sorted(name for name in found if is_photograph(Path(name)) and not _is_result(name))):
-            raise InputError(f"no photographs in {given}; give their folder, their names or a pattern such as '*.png'")
-        else:
-            photographs += fitting
+            continue
+        names = {Path(name): name for name in sorted(found) if not _is_result(name)}
+        fitting, others = one_of_each(names, kind)
+        if not fitting:
+            there = f" (left out: {counted(others)})" if others else ""
+            raise InputError(
+                f"no photographs in {given}{there}; give their folder, their names or a pattern such as '*.png'"
+            )
+        photographs += sorted(names[path] for path in fitting)
+        if left_out is not None:
+            left_out |= others
     return photographs
 
 
