@@ -18,9 +18,10 @@ import chromaperture as cap
 from chromaperture.calibration.session import read_session
 from chromaperture.camera_file import Calibration
 from chromaperture.capture.bayer import PATTERNS
-from chromaperture.capture.exif import read_model, turn_of
-from chromaperture.capture.files import decode, has_8_bits, image_size, opens_as_raw, read_image
+from chromaperture.capture.exif import read_model
+from chromaperture.capture.files import decode, format_of, image_size, is_encoded, opens_as_raw, read_image
 from chromaperture.capture.open import open_source
+from chromaperture.color.encoding import StatedFacts
 from chromaperture.errors import CaptureWarning, InputError
 from chromaperture.shots import one_of_each
 from worlds import mosaic_of, write_dng
@@ -78,10 +79,10 @@ def test_a_raw_file_is_known_by_what_it_holds(tmp_path, sites, name):
     (tmp_path / "other").mkdir()
     path = shutil.copy(tmp_path / "a.dng", tmp_path / "other" / name)
     assert opens_as_raw(path)
-    assert not has_8_bits(path)
+    assert not is_encoded(path)
     assert image_size(path) == (sites.shape[1] // 2, sites.shape[0] // 2)
     np.testing.assert_array_equal(decode(path).array, decode(tmp_path / "a.dng").array)
-    assert (turn_of(path), read_model(path)) == (270, "Test 5")
+    assert (format_of(path).turn_degrees, read_model(path)) == (270, "Test 5")
 
 
 @pytest.mark.parametrize(
@@ -211,7 +212,7 @@ def test_a_grey_mosaic_is_read_like_raw(tmp_path, sites, suffix, pattern):
     write_dng(tmp_path / "a.dng", sites, pattern=pattern, black=(16,), white=1016)
     path = tmp_path / f"a.{suffix}"
     tifffile.imwrite(path, sites) if suffix == "tiff" else cv2.imwrite(str(path), sites)
-    assert image_size(path, mosaic=pattern) == (720, 480)
+    assert image_size(path, StatedFacts(mosaic=pattern)) == (720, 480)
     raw = read_image(tmp_path / "a.dng", black_level=16, white_level=1016)
     found = read_image(path, black_level=16, white_level=1016, mosaic=pattern)
     np.testing.assert_allclose(found, raw, atol=1e-6)
@@ -244,7 +245,7 @@ def test_depth_and_check_of_a_mosaic_and_of_a_camera_that_remembers_it(run, tmp_
     assert json.loads(found.stdout)["photo"] == "a.png"
     encoding = known.sensor.encoding
     for source, settings in ((f"{tmp_path / 'a.png'}?mosaic=RGGB", encoding),
-                             (str(tmp_path / "a.png"), replace(encoding, mosaic="RGGB"))):  # fmt: skip
+                             (str(tmp_path / "a.png"), replace(encoding, stated=StatedFacts(mosaic="RGGB")))):  # fmt: skip
         with open_source(source, camera_encoding=settings) as frames:
             np.testing.assert_allclose(next(iter(frames)).image, read_image(
                 tmp_path / "a.png", mosaic="RGGB", black_level=known.sensor.black_level,

@@ -33,6 +33,8 @@ _UNREADABLE = {  # by compression, by photometric interpretation
 
 def holds_raw(path: Path) -> bool:
     """Recognise a RAW file by its content: makers' own marks, or a TIFF file with a mosaic or DNGVersion in it."""
+    if not os.path.isfile(path):  # a pipe would wait
+        return False
     try:
         with open(path, "rb") as file:
             start = file.read(16)
