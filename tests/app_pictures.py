@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from apps import DESKTOP, FACTS, PHONE, WEBGPU, chromium, render_session, served, write_y4m
+from apps import DESKTOP, FACTS, PHONE, REC_709, WEBGPU, chromium, render_session, served, write_y4m
 from chromaperture.app.camera_feed import CameraFeed
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.optics.video_signal import bt709_curve
@@ -26,7 +26,8 @@ def main(out: Path) -> None:
     with tempfile.TemporaryDirectory() as name, sync_playwright() as driver:
         folder = Path(name)
         _, image = open_sample(SAMPLE)
-        write_y4m(folder / "scene.y4m", cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST))
+        doubled = cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
+        write_y4m(folder / "scene.y4m", doubled, shares=REC_709)
         cv2.imwrite(str(folder / "still_life.png"), linear_to_srgb_bytes(image)[..., ::-1])
         render_session(folder / "boards")
         with (

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from chromaperture.app.workbench import Workbench
@@ -135,18 +134,29 @@ def chromium(driver: Any, *, camera: Path | None = None, flags: tuple[str, ...] 
         browser.close()
 
 
-def write_y4m(path: Path, linear: np.ndarray, frames: int = 2) -> None:
-    """Write a picture (H, W, 3), linear RGB, as a video: sRGB, Rec. 601 of limited range, chroma 4:2:0."""
-    height, width = linear.shape[:2]
-    yuv = cv2.cvtColor(linear_to_srgb_bytes(linear).astype(np.float32) / 255, cv2.COLOR_RGB2YUV)
-    luma = yuv[..., 0]
-    red, blue = (linear_to_srgb_bytes(linear)[..., c].astype(np.float32) / 255 for c in (0, 2))
+REC_601, REC_709 = (0.299, 0.587, 0.114), (0.2126, 0.7152, 0.0722)  # shares of R, G, B in luma
+
+
+def planes_of(encoded: np.ndarray, siting: str = "left", shares: Sequence[float] = REC_601) -> list[np.ndarray]:
+    """Y, Cb, Cr of limited range, 4:2:0, of encoded RGB of 0 to 1; chroma filtered for where it lies."""
+    luma = encoded @ np.array(shares)
     planes = [16 + 219 * luma]
-    for colour, factor in ((blue, 1.772), (red, 1.402)):
-        chroma = 128 + 224 * (colour - luma) / factor
-        planes.append(cv2.resize(chroma, (width // 2, height // 2), interpolation=cv2.INTER_AREA))
-    frame = b"".join(np.rint(plane).clip(0, 255).astype(np.uint8).tobytes() for plane in planes)
+    for channel in (2, 0):
+        chroma = np.pad(128 + 224 * (encoded[..., channel] - luma) / (2 - 2 * shares[channel]), 1, mode="edge")
+        across, down = (
+            ((1, 2, 1) if siting != "centre" else (0, 2, 2)),
+            ((1, 2, 1) if siting == "top-left" else (0, 2, 2)),
+        )
+        chroma = sum(w * chroma[:, i : i + luma.shape[1] : 2] for i, w in enumerate(across)) / 4
+        planes.append(sum(w * chroma[i : i + luma.shape[0] : 2] for i, w in enumerate(down)) / 4)
+    return [np.rint(plane).clip(0, 255).astype(np.uint8) for plane in planes]
+
+
+def write_y4m(path: Path, linear: np.ndarray, frames: int = 2, shares: Sequence[float] = REC_601) -> None:
+    """Write a picture (H, W, 3), linear RGB, as a video: sRGB, limited range, chroma 4:2:0 on the left."""
+    height, width = linear.shape[:2]
+    frame = b"".join(plane.tobytes() for plane in planes_of(linear_to_srgb_bytes(linear) / 255, shares=shares))
     with path.open("wb") as file:
-        file.write(f"YUV4MPEG2 W{width} H{height} F15:1 Ip A1:1 C420jpeg\n".encode())
+        file.write(f"YUV4MPEG2 W{width} H{height} F15:1 Ip A1:1 C420mpeg2\n".encode())
         for _ in range(frames):
             file.write(b"FRAME\n" + frame)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -13,16 +14,20 @@ from chromaperture.app.assistant import advice, best_gain, check_shot, frame_cel
 from chromaperture.app.calibration_job import CalibrationJob
 from chromaperture.app.edge_blur import edge_blur
 from chromaperture.app.forecast import curve_sigma
-from chromaperture.app.session_folder import MOST_SHOTS, SessionFolder, Shot
+from chromaperture.app.session_folder import MOST_SHOTS, Holding, SessionFolder, Shot
 from chromaperture.app.shot_checks import Reading
+from chromaperture.app.workbench import Workbench
 from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.camera_file import Calibration
 from chromaperture.errors import InputError
+from chromaperture.products.samples import sample_camera
 
 pytestmark = pytest.mark.extra("serve", "starlette")  # runs with the other extras, not in the README's test step
 
 BOARDS_MM = (1000, 1500, 2000, 2500, 3000)
+
+
 def assisted(folder, rendered, *, boards=BOARDS_MM, tilts=5, sheets=True) -> SessionFolder:
     """A session that the assistant filled with the rendered photographs."""
     session = SessionFolder.create(folder, FACTS)
@@ -263,7 +268,10 @@ def test_sheets_and_tilts_are_asked_for_until_all_is_there(tmp_path, rendered, f
 @pytest.mark.slow
 def test_its_camera_is_that_of_the_command_line(tmp_path, rendered_camera, filled):
     """From an empty folder, with what a photographer knows, to a camera within 0.5 % of `calibrate`'s."""
-    job = CalibrationJob(filled.folder, tmp_path / "app.asdf", tmp_path / "app.report.html", lens_blur=False)
+    held = Holding(angle_deg=90, orientation="landscape-primary", facing="environment")
+    job = CalibrationJob(
+        filled.folder, tmp_path / "app.asdf", tmp_path / "app.report.html", lens_blur=False, holding=held
+    )
     job.start()
     job.wait()
     assert job.error == ""
@@ -271,6 +279,8 @@ def test_its_camera_is_that_of_the_command_line(tmp_path, rendered_camera, fille
     ours, theirs = Calibration.load(tmp_path / "app.asdf"), Calibration.load(rendered_camera)
     for name in ("focal_length_mm", "in_focus_mm", "baseline_mm", "infinity_disparity_px", "scale_px_mm"):
         assert ours.summary()[name] == pytest.approx(theirs.summary()[name], rel=5e-3), name
+    (shown,) = Workbench(tmp_path / "app", tmp_path / "app.asdf", reserve_bytes=0).describe_cameras()
+    assert shown["holding"] == held.model_dump()
 
 
 def test_a_stopped_calibration_leaves_no_camera(tmp_path, filled):
@@ -290,3 +300,19 @@ def test_a_calibration_without_boards_is_one_sentence(tmp_path, rendered):
     job.wait()
     assert "photograph the board" in job.error
     assert not (tmp_path / "app.asdf").exists()
+
+
+@pytest.mark.parametrize(
+    ("provenance", "siting"),
+    [
+        ({}, "left"),
+        ({"siting": "centre", "holding": {"angle_deg": 90}}, "centre"),
+        ({"siting": ["left"], "holding": "upright"}, "left"),
+        ({"siting": "right", "holding": {"angle_deg": 45, "orientation": "landscape-primary"}}, "left"),
+    ],
+)
+def test_what_a_camera_file_says_of_its_video_may_be_absent_or_nonsense(tmp_path, provenance, siting):
+    camera = replace(Calibration.load(sample_camera("still_life_cy_halves")), provenance=provenance)
+    camera.save(tmp_path / "odd.asdf")
+    (shown,) = Workbench(tmp_path / "app", tmp_path / "odd.asdf", reserve_bytes=0).describe_cameras()
+    assert (shown["siting"], shown["holding"]) == (siting, None)

@@ -193,6 +193,7 @@ def state(folder: SessionFolder) -> dict[str, Any]:
         "name": folder.folder.name,
         "facts": folder.facts.model_dump(),
         "size_px": folder.size_px,
+        "holding": folder.holding and folder.holding.model_dump(),
         "shots": [_shown(shot) for shot in folder.shots],
         "sheets": sheets,
         "cells": cells.tolist(),

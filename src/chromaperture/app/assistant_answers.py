@@ -12,9 +12,10 @@ from chromaperture.app.assistant import check_shot, shown_check, state
 from chromaperture.app.calibration_job import CalibrationJob
 from chromaperture.app.camera_answers import CameraAnswers
 from chromaperture.app.camera_feed import write_frame
-from chromaperture.app.session_folder import Kind, SessionFolder
+from chromaperture.app.session_folder import Holding, Kind, SessionFolder
 from chromaperture.app.workbench import NAME, Workbench
 from chromaperture.errors import InputError
+from chromaperture.validation import checked
 from chromaperture.viewer.free_space import require_space
 
 if TYPE_CHECKING:
@@ -106,7 +107,7 @@ class AssistantAnswers:
             raise InputError("a photograph is of a board, of a tilted board or of a white sheet")
         ruler = number(asked, "ruler_mm") if asked.get("ruler_mm") else None
         exposure = number(asked, "exposure_ms") if asked.get("exposure_ms") else None
-        sheet, keep = asked.get("sheet", ""), asked.get("keep", "")
+        sheet, keep, holding = asked.get("sheet", ""), asked.get("keep", ""), _holding(asked)
         if self.is_calibrating():
             raise InputError("the computer is calibrating; photographs are taken again when it is done")
 
@@ -125,7 +126,7 @@ class AssistantAnswers:
                 kept = keep == "always" or (keep == "good" and found.is_usable)
                 file = None
                 if kept:
-                    file = session.keep(path, kind, found.reading, found.checks, sheet=sheet).file
+                    file = session.keep(path, kind, found.reading, found.checks, sheet=sheet, holding=holding).file
                 corners = found.reading.corners_px
                 working = session.session()
                 return {
@@ -159,14 +160,14 @@ class AssistantAnswers:
         from starlette.responses import JSONResponse
 
         folder = self.folder(request.path_params["name"])
-        _opened(folder)
+        session = _opened(folder)
         if self.is_calibrating():
             raise InputError("a calibration is running already; wait for it, or stop it")
         require_space(folder, 0, self.workbench.reserve_bytes)
         cameras = self.workbench.folder / "cameras"
         job = CalibrationJob(
             folder, cameras / f"{folder.name}.asdf", cameras / f"{folder.name}.report.html",
-            lens_blur=request.query_params.get("lens_blur", "1") != "0",
+            lens_blur=request.query_params.get("lens_blur", "1") != "0", holding=session.holding,
         )  # fmt: skip
         self.jobs[folder.name] = job
         job.start()
@@ -207,6 +208,16 @@ def _opened(folder: Path) -> SessionFolder:
     if not (folder / "assistant.json").is_file():
         raise InputError("there is no such session; start a new one")
     return SessionFolder(folder)
+
+
+def _holding(asked: Any) -> Holding | None:
+    """Read how the device is held whose camera took a photograph; None of a file."""
+    from chromaperture.app.server import whole
+
+    if "angle" not in asked:
+        return None
+    values = {name: asked.get(name, "") for name in ("orientation", "facing")}
+    return checked(Holding, {"angle_deg": whole(asked, "angle"), **values}, where="how the device is held")
 
 
 async def _json(request: Any) -> dict[str, Any]:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import shutil
 import threading
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from chromaperture.app.session_folder import Holding
 from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.errors import ChromapertureError, lacks_memory
@@ -33,12 +34,15 @@ class CalibrationJob:
         Files to write.
     lens_blur : bool
         Fit the blur of the lens, which takes most of the time.
+    holding : Holding, optional
+        How the device was held that took the photographs; the camera file keeps it.
     """
 
     folder: Path
     camera: Path
     report: Path
     lens_blur: bool = True
+    holding: Holding | None = None
     step: str = "starting"
     done: int = 0
     total: int = 0
@@ -93,7 +97,10 @@ class CalibrationJob:
             result = with_accurate_noise(result, progress=self._progress)
             self.step = "report"
             write_report(self.report, result)
-            result.camera.save(self.camera)
+            camera = result.camera
+            if self.holding is not None:
+                camera = replace(camera, provenance={**camera.provenance, "holding": self.holding.model_dump()})
+            camera.save(self.camera)
             shutil.rmtree(kept, ignore_errors=True)
             self.result = {
                 "camera": self.camera.stem,

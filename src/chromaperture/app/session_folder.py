@@ -53,6 +53,14 @@ class Facts(Table):
     white_level: Annotated[float, Field(gt=0)] | None = None
 
 
+class Holding(Table):
+    """How a device is held whose browser turns frames upright: as the page's ``screen.orientation`` says."""
+
+    angle_deg: Literal[0, 90, 180, 270]  # by which it is turned anticlockwise from its natural orientation
+    orientation: Literal["portrait-primary", "portrait-secondary", "landscape-primary", "landscape-secondary"]
+    facing: Literal["user", "environment", "left", "right", ""] = ""  # of its cameras; empty: the browser does not say
+
+
 @dataclass(frozen=True)
 class Shot:
     """One kept photograph: its file below the folder, and what was read of it."""
@@ -73,7 +81,7 @@ class SessionFolder:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.facts, self.size_px, self.shots = _read_state(folder)
+        self.facts, self.size_px, self.shots, self.holding = _read_state(folder)
 
     @classmethod
     def create(cls, folder: Path, facts: Any) -> SessionFolder:
@@ -92,7 +100,7 @@ class SessionFolder:
         if folder.exists():
             raise InputError("there is a session of this name already; choose another name")
         with staged(folder) as stage:
-            stage.path(_STATE).write_text(_state_text(known, None, []), encoding="utf-8")
+            stage.path(_STATE).write_text(_state_text(known, None, [], None), encoding="utf-8")
         for name in FOLDERS:
             (folder / name).mkdir(exist_ok=True)
         return cls(folder)
@@ -153,7 +161,10 @@ class SessionFolder:
         self.facts = self.facts.model_copy(update={"black_level": float(black), "white_level": float(white)})
         self._write(self.size_px, self.shots, ".png")
 
-    def keep(self, photograph: Path, kind: Kind, reading: Reading, checks: Sequence[Check], *, sheet: str = "") -> Shot:
+    def keep(
+        self, photograph: Path, kind: Kind, reading: Reading, checks: Sequence[Check], *, sheet: str = "",
+        holding: Holding | None = None,
+    ) -> Shot:  # fmt: skip
         """Move a photograph into the folder; raises InputError when there are too many or it is of another kind."""
         if len(self.shots) >= MOST_SHOTS:
             raise InputError(f"there are {MOST_SHOTS} photographs already, far more than needed; calibrate, or delete")
@@ -168,6 +179,7 @@ class SessionFolder:
             private = stage.path(name)
             private.parent.mkdir()
             shutil.copyfile(photograph, private)
+        self.holding = self.holding or holding
         self._write(self.size_px, [*shots, shot], suffix)
         return shot
 
@@ -203,7 +215,7 @@ class SessionFolder:
                 files = plan_files(plan) | {"distances.csv": rows.getvalue()}
                 for name, text in files.items():
                     stage.path(name).write_text(text, encoding="utf-8")
-            stage.path(_STATE).write_text(_state_text(self.facts, size_px, shots), encoding="utf-8")
+            stage.path(_STATE).write_text(_state_text(self.facts, size_px, shots, self.holding), encoding="utf-8")
         self.size_px, self.shots = size_px, shots
 
 
@@ -227,22 +239,26 @@ def _tone_error(shots: Sequence[Shot]) -> float | None:
     return float(np.sqrt(np.mean((np.array(exponents) - 1) ** 2))) if exponents else None
 
 
-def _read_state(folder: Path) -> tuple[Facts, tuple[int, int] | None, list[Shot]]:
+def _read_state(folder: Path) -> tuple[Facts, tuple[int, int] | None, list[Shot], Holding | None]:
     try:
         state = json.loads(read_text(folder / _STATE, most_bytes=_MOST_JSON_BYTES))
         shots = [_shot(row) for row in state["shots"]]
         size = tuple(int(n) for n in state["size_px"]) if state["size_px"] else None
         facts = checked(Facts, state["facts"], where=_STATE)
+        holding = checked(Holding, state["holding"], where=_STATE) if state.get("holding") else None
     except (ValueError, KeyError, TypeError):
         raise InputError(f"{folder.name} is not a session of the app; start a new one") from None
     present = [shot for shot in shots if os.path.isfile(folder / shot.file)]
-    return facts, size, present  # type: ignore[return-value]
+    return facts, size, present, holding  # type: ignore[return-value]
 
 
-def _state_text(facts: Facts, size_px: tuple[int, int] | None, shots: list[Shot]) -> str:
+def _state_text(
+    facts: Facts, size_px: tuple[int, int] | None, shots: list[Shot], holding: Holding | None
+) -> str:  # fmt: skip
     rows = [{"file": s.file, "kind": s.kind, "reading": vars(s.reading), "checks": [asdict(c) for c in s.checks]}
             for s in shots]  # fmt: skip
-    return to_json({"facts": facts.model_dump(), "size_px": size_px, "shots": rows}) + "\n"
+    held = holding and holding.model_dump()
+    return to_json({"facts": facts.model_dump(), "size_px": size_px, "holding": held, "shots": rows}) + "\n"
 
 
 def _shot(row: dict[str, Any]) -> Shot:

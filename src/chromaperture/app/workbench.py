@@ -24,6 +24,7 @@ import numpy as np
 
 from chromaperture.app.device_plan import MOST_PX, make_plan, make_points
 from chromaperture.app.notes import heard
+from chromaperture.app.session_folder import Holding
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_matching import default_config
@@ -42,6 +43,7 @@ from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.frame.other_formats import write_format
 from chromaperture.products.measure_file import MeasuredFile, measure_only
 from chromaperture.storage import staged
+from chromaperture.validation import checked
 from chromaperture.viewer.free_space import RESERVE_BYTES, require_space
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")  # of cameras and sessions: nothing that a path could be made of
@@ -345,7 +347,23 @@ def _described(path: Path) -> dict[str, Any]:
         "f_number": calibration.lens.f_number,
         "in_focus": calibration.in_focus_text if calibration.is_calibrated else None,
         "calibrated": calibration.is_calibrated,
+        "siting": _siting(calibration),
+        "holding": _holding(calibration),
     }
+
+
+def _siting(calibration: Calibration) -> str:
+    """Return where chroma lies among the pixels of a camera's video: as its file states, else as in video."""
+    stated = getattr(calibration.sensor, "siting", None) or calibration.provenance.get("siting")
+    return stated if stated in ("left", "centre", "top-left") else "left"
+
+
+def _holding(calibration: Calibration) -> dict[str, Any] | None:
+    """Return how the device was held for a calibration, where its file tells."""
+    try:
+        return checked(Holding, dict(calibration.provenance["holding"]), where="holding").model_dump()
+    except (InputError, KeyError, TypeError, ValueError):
+        return None
 
 
 def _at_once(photo: Photo) -> SharpPicture:

@@ -1,9 +1,10 @@
 // The calibration assistant: what to photograph next and why, checks of each photograph, and the calibration itself.
 import { Sentence, ask, askJson, attempt, make, query, say } from "./api.js";
 import { about, keepHere, loadCameras } from "./cameras.js";
-import { grab, openCamera } from "./capture.js";
+import { grab, holdingOf, openCamera, turned } from "./capture.js";
 import { distanceChart, forecastChart, frameChart, tiltChart, toneChart } from "./charts.js";
 import { ComputerCamera } from "./sources.js";
+import { APPROXIMATE, readFrame } from "./video_planes.js";
 
 const root = () => document.getElementById("calibrate");
 const KEPT = "chromaperture-session";  // which session was open, in the browser's storage
@@ -180,7 +181,7 @@ function shots() {
 
 async function shutter(options) {
   if (camera?.remote) return send(null, "frame.png", options, "good");
-  if (camera) return send(await photograph(), "frame.png", options, "good");
+  if (camera) return send(await photograph(), "frame.png", { ...options, ...holdingOf(camera.track) }, "good");
   if (chosen >= 0) return openRemote();
   const [width, height] = session.size_px ?? [1280, 720];
   const opened = await openCamera(width, height);
@@ -189,7 +190,8 @@ async function shutter(options) {
   video.srcObject = opened.stream;
   camera = { ...opened, video };
   await video.play();
-  say(opened.locked.length ? `Held by the browser: ${opened.locked.join(", ")}.` : "This browser cannot hold focus, exposure and white balance: photographs opened as files are better, RAW best.", { plain: true });
+  const { isApproximate } = await readFrame(video);
+  say(`${opened.locked.length ? `Held by the browser: ${opened.locked.join(", ")}.` : "This browser cannot hold focus, exposure and white balance: photographs opened as files are better, RAW best."}${isApproximate ? ` ${APPROXIMATE}` : ""}`, { plain: true });
   draw();
 }
 
@@ -228,14 +230,12 @@ function exposureOf(opened) {
 }
 
 async function photograph() {
-  const { video } = camera;
-  let [width, height] = session.size_px ?? [];
-  if (!width) {  // half of what the camera gives: 2 x 2 pixels averaged have all their colours
-    [width, height] = [video.videoWidth >> 1, video.videoHeight >> 1];
-  } else if (Math.abs(width / height - video.videoWidth / video.videoHeight) > 0.01) {
-    throw new Sentence(`The camera gives ${video.videoWidth} x ${video.videoHeight} pixels, and the session has ${width} x ${height}: hold the device as at the beginning.`);
-  }
-  return grab(video, width, height, "image/png");
+  const why = turned(session.holding, camera.track), { picture } = await readFrame(camera.video);
+  if (why) throw new Sentence(why);
+  const [width, height] = session.size_px ?? [picture.width, picture.height];
+  if (Math.abs(width / height - picture.width / picture.height) > 0.01) throw new Sentence(`The camera gives ${picture.width} x ${picture.height} pixels, and the session has ${width} x ${height}: hold the device as at the beginning.`);
+  if (picture.width < width) throw new Sentence(`The camera's frames have all their colours at ${picture.width} x ${picture.height} pixels only, and the session has ${width} x ${height}: begin another session.`);
+  return grab(picture, width, height, "image/png");
 }
 
 function closeCamera() {

@@ -8,7 +8,7 @@ export class ServerMeasurer {
 
   mode = "measured by the computer";
 
-  // A video or a bitmap -> frame
+  // ImageData or a bitmap -> frame
   async measure(source, signal) {
     const { width, height, data } = grab(source, this.width, this.height);
     const rgb = new Uint8Array(3 * width * height);

@@ -53,10 +53,10 @@ async function byDevice(camera, file) {
   showMode("");
   const picture = await readPicture(file);
   if (!picture) { showMode("measured by the computer: RAW, TIFF and 16 bits are its work"); return null; }
-  const { bitmap, notes } = picture, other = Math.abs(bitmap.width * camera.height - bitmap.height * camera.width) > Math.max(bitmap.width, bitmap.height, camera.width, camera.height);
+  const { bitmap, notes, isHalved } = picture, other = Math.abs(bitmap.width * camera.height - bitmap.height * camera.width) > Math.max(bitmap.width, bitmap.height, camera.width, camera.height);
   if (other) throw new Sentence(`${file.name} has ${bitmap.width}x${bitmap.height} px but the camera was calibrated at ${camera.width}x${camera.height}: use its photographs as they come, or choose the camera file of this camera.`);
   try {
-    const reduced = Math.max(1, Math.round(bitmap.width / camera.working_px[0]));
+    const reduced = Math.max(isHalved ? 2 : 1, Math.round(bitmap.width / camera.working_px[0]));
     const measurer = await measurerFor(camera, Math.round(bitmap.width / reduced), Math.round(bitmap.height / reduced));
     if (!(measurer instanceof DeviceMeasurer)) return null;
     const began = performance.now(), frame = await (await measurer.measure(bitmap)).still();

@@ -99,7 +99,7 @@ export class DeviceMeasurer {
     pass.end();
   }
 
-  // A video, a bitmap or a canvas -> frame. It goes up once; the maps stay on the device.
+  // ImageData, a bitmap or a canvas -> frame. It goes up once; the maps stay on the device.
   async measure(source) {
     const { device, plan } = this;
     if (this.gpu.isLost) throw this.#trouble();
@@ -116,32 +116,21 @@ export class DeviceMeasurer {
   // Whole multiples of the plan's size go up as they are, and the device averages their squares; others the browser reduces.
   #send(encoder, source) {
     const { device, plan } = this;
-    let [width, height] = [source.videoWidth ?? source.width, source.videoHeight ?? source.height], from = source;
-    let side = width / plan.width;
+    let { width, height } = source, from = source, side = width / plan.width;
     if (!Number.isInteger(side) || height !== side * plan.height || Math.max(width, height) > device.limits.maxTextureDimension2D) {
-      [width, height, side, from] = [plan.width, plan.height, 1, grab(source, plan.width, plan.height, "canvas")];
+      [width, height, side, from] = [plan.width, plan.height, 1, grab(source, plan.width, plan.height)];
     }
-    const pitch = Math.ceil(width / 64) * 64;  // px: WebGPU copies rows of a multiple of 256 bytes
+    const isCounts = from instanceof ImageData;
+    const pitch = isCounts ? width : Math.ceil(width / 64) * 64;  // px: WebGPU copies rows of a multiple of 256 bytes
     this.#fit("counts", 4 * pitch * height);
     device.queue.writeBuffer(this.buffers.form, 0, new Uint32Array([side, pitch, 0, 0]));
+    if (isCounts) { device.queue.writeBuffer(this.buffers.counts, 0, from.data); return; }
     if (this.texture?.width !== width || this.texture?.height !== height) {
       this.texture?.destroy();
       this.texture = device.createTexture({ size: [width, height], format: "rgba8unorm", usage: GPUTextureUsage.COPY_DST | GPUTextureUsage.COPY_SRC | GPUTextureUsage.RENDER_ATTACHMENT });
     }
-    if (!this.byCanvas) {
-      try {
-        device.queue.copyExternalImageToTexture({ source: from }, { texture: this.texture, colorSpace: "srgb" }, [width, height]);
-        encoder.copyTextureToBuffer({ texture: this.texture }, { buffer: this.buffers.counts, bytesPerRow: 4 * pitch }, [width, height]);
-        return;
-      } catch (error) {
-        if (this.gpu.isLost) throw this.#trouble();
-        this.byCanvas = true;  // a browser that copies no videos
-        console.info("frames go up by way of a canvas:", error.message);
-      }
-    }
-    const { data } = grab(source, plan.width, plan.height);
-    device.queue.writeBuffer(this.buffers.form, 0, new Uint32Array([1, plan.width, 0, 0]));
-    device.queue.writeBuffer(this.buffers.counts, 0, data);
+    device.queue.copyExternalImageToTexture({ source: from }, { texture: this.texture, colorSpace: "srgb" }, [width, height]);
+    encoder.copyTextureToBuffer({ texture: this.texture }, { buffer: this.buffers.counts, bytesPerRow: 4 * pitch }, [width, height]);
   }
 
   // Makes an array larger where it must be; what binds it is bound anew.
