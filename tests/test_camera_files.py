@@ -244,8 +244,8 @@ def test_depth_and_check_of_a_mosaic_and_of_a_camera_that_remembers_it(run, tmp_
     found = run("check", tmp_path / "a.png", "-c", CAMERA, "--mosaic", "RGGB", "--json")
     assert json.loads(found.stdout)["photo"] == "a.png"
     encoding = known.sensor.encoding
-    for source, settings in ((f"{tmp_path / 'a.png'}?mosaic=RGGB", encoding),
-                             (str(tmp_path / "a.png"), replace(encoding, stated=StatedFacts(mosaic="RGGB")))):  # fmt: skip
+    remembered = replace(encoding, stated=StatedFacts(mosaic="RGGB"))
+    for source, settings in ((f"{tmp_path / 'a.png'}?mosaic=RGGB", encoding), (str(tmp_path / "a.png"), remembered)):
         with open_source(source, camera_encoding=settings) as frames:
             np.testing.assert_allclose(next(iter(frames)).image, read_image(
                 tmp_path / "a.png", mosaic="RGGB", black_level=known.sensor.black_level,
@@ -279,7 +279,7 @@ def test_a_session_of_mosaics(run, tmp_path, sites):
      (".jpeg", "A.jpg b.JPG c.png"), (".png", "a.DNG B.cr2 c.png")],
 )  # fmt: skip
 def test_of_raw_and_jpeg_of_a_shot_one_is_taken(tmp_path, kind, taken):
-    names = ["a.DNG", "A.jpg", "B.cr2", "b.JPG", "c.png", "._c.png", "d.heif", "d.xmp", "e.mov", "._e.mov"]
+    names = ["a.DNG", "A.jpg", "B.cr2", "b.JPG", "c.png", "._c.png", "d.psd", "d.xmp", "e.mov", "._e.mov"]
     found, left_out = one_of_each([tmp_path / name for name in names], lambda: kind)
     assert [path.name for path in found] == taken.split()
     assert len(left_out) == 4

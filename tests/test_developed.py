@@ -19,6 +19,7 @@ from chromaperture.camera_file import Calibration
 from chromaperture.capture.developed import is_developed, other_colours
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
+from test_color_space import SRGB, icc, parametric
 from worlds import write_dng
 
 # Camera colours to sRGB, white to white: that of a Canon EOS 5D Mark II by its DNG matrix (Adobe, D65).
@@ -53,7 +54,8 @@ def test_photographs_of_the_other_kind_are_named(run, tmp_path):
     calibration = Calibration.load(sample_camera(SAMPLES[0]))
     counts = cv2.imread(str(sample_image(SAMPLES[0])), cv2.IMREAD_UNCHANGED)[..., ::-1]
     path = tmp_path / "a.tif"
-    tifffile.imwrite(path, counts, photometric="rgb", iccprofile=PROFILE)
+    linear = icc(SRGB, parametric(0, 1.0))  # a developer's linear output
+    tifffile.imwrite(path, counts, photometric="rgb", iccprofile=linear)
     for developed, says in ((False, True), (True, False), (None, False)):
         known = {} if developed is None else {"developed": developed}
         provenance = dict(calibration.provenance) | known

@@ -191,7 +191,7 @@ def test_a_video_gives_its_frames_in_order(tmp_path):
         (".?fps=fast", "must be a number"),
         (".?speed=0", "speed"),
         (".?loop=maybe", "loop must be 1 or 0"),
-        (".?focus=3", "choose fps, black_level, white_level, mosaic, speed, loop"),
+        (".?focus=3", "choose fps, black_level, white_level, mosaic, siting, primaries, speed, loop"),
         (".?camera_encoding=3", "no setting"),
         ("clip.mkv?fps=-1", "fps must be positive"),
         ("webcam?width=nan", "whole number"),

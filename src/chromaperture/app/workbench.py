@@ -347,15 +347,9 @@ def _described(path: Path) -> dict[str, Any]:
         "f_number": calibration.lens.f_number,
         "in_focus": calibration.in_focus_text if calibration.is_calibrated else None,
         "calibrated": calibration.is_calibrated,
-        "siting": _siting(calibration),
+        "siting": calibration.sensor.siting or "left",
         "holding": _holding(calibration),
     }
-
-
-def _siting(calibration: Calibration) -> str:
-    """Return where chroma lies among the pixels of a camera's video: as its file states, else as in video."""
-    stated = getattr(calibration.sensor, "siting", None) or calibration.provenance.get("siting")
-    return stated if stated in ("left", "centre", "top-left") else "left"
 
 
 def _holding(calibration: Calibration) -> dict[str, Any] | None:

@@ -156,6 +156,8 @@ def read_session(folder: str | Path) -> Session:
         encoding = form.encoding(255.0)
         decoding = {"curve": encoding.curve, "curve_parameters": encoding.curve_parameters}
         full = replace(full, black_level=0.0, white_level=255.0, **decoding)  # type: ignore[arg-type]
+    if form is not None and form.mosaic is not None and form.bits == 8 and full.white_level > 255:
+        full = replace(full, white_level=255.0)
     size = (full.width_px, full.height_px)
     if form is not None and size == form.size_px:  # as stored: chroma is subsampled
         size = form.read_size_px
