@@ -83,9 +83,9 @@ def test_what_pure_noise_leaves_known_has_wide_error_bars(design, seed):
     assert known.mean() < 0.2  # 0 to .11
 
 
-@pytest.mark.parametrize(("quality", "most_known"), [("paper", 0.72), ("real-time", 0.06), ("accurate", 0.01)])
+@pytest.mark.parametrize(("quality", "most_known"), [("paper", 0.72), ("real-time", 0.1), ("accurate", 0.01)])
 def test_what_is_known_no_better_than_the_range_is_unknown(rng, quality, most_known):
-    # Pure noise: each channel another one, so no disparity is right. Known fractions found: .70, .04, 0; without the
+    # Pure noise: each channel another one, so no disparity is right. Known fractions found: .70, .08, 0; without the
     # rule .75, .9, .91. The local peaks of `paper` have no posterior over the range.
     config = preset(quality).with_range(-4.0, 4.0)
     noise = rng.uniform(0.1, 0.9, (120, 160, 3)).astype(np.float32)

@@ -84,6 +84,8 @@ def _camera_of(
     """Return the camera's encoding, its levels those of the counts, where it can be that of the counts; else None."""
     is_given = given != (None, None)
     if camera.is_encoded:
+        if not own.is_encoded and counts.dtype != np.uint8 and camera.white_level > 255:
+            return camera  # a curve that a calibration has found in deep files without a tag
         if is_given or not own.is_encoded:
             return None
         if (own.curve, own.curve_parameters) != (camera.curve, camera.curve_parameters):

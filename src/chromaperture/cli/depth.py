@@ -219,6 +219,7 @@ def cameras(
     """
     from chromaperture.capture.files import image_size
     from chromaperture.cli.setup import camera_for
+    from chromaperture.color.encoding import NOTHING_STATED
 
     if design is None or camera is not None:
         same = camera_for(first, camera, design, **settings)
@@ -226,7 +227,7 @@ def cameras(
     of_sizes: dict[tuple[int, int], CodedApertureCamera] = {}
 
     def of_size(image: Path) -> CodedApertureCamera:
-        size = image_size(image, settings["stated"])
+        size = image_size(image, settings.get("stated", NOTHING_STATED))
         if size not in of_sizes:
             of_sizes[size] = camera_for(image, None, design, **settings)
         return of_sizes[size]

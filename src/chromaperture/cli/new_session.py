@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from chromaperture.cli.options import BOARDS_PANEL, CAMERA_PANEL, FarthestMm, Mosaic, NearestMm, Quiet, inner_corners
-from chromaperture.color.encoding import StatedFacts
 from chromaperture.errors import InputError
+
+if TYPE_CHECKING:
+    from chromaperture.color.encoding import StatedFacts
 
 app = typer.Typer(help="Prepare a calibration session.", no_args_is_help=True)
 

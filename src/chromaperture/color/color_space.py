@@ -87,9 +87,9 @@ def to_linear(values: np.ndarray, transfer: Transfer) -> np.ndarray:
     item 1.2; BT.2100, table 5), ``pq`` light of the display (EOTF: BT.2100, table 4). For the last two 1 is the diffuse
     white of BT.2408 (a signal of 0.75; 203 cd/m2): what is brighter counts as saturated.
     """
-    v = np.clip(np.asarray(values, np.float32), 0, 1)
     if transfer.name == "srgb":
-        return srgb_to_linear(v)
+        return srgb_to_linear(values)
+    v = np.clip(np.asarray(values, np.float32), 0, 1)
     if transfer.name == "bt709":
         light = np.where(v < 0.081, v / 4.5, ((v + 0.099) / 1.099) ** (1 / 0.45))
     elif transfer.name == "power":

@@ -144,17 +144,20 @@ def _light(counts: np.ndarray, encoding: Encoding) -> np.ndarray:
     each_band(convert, len(image))
     if encoding.is_encoded and image.size > _LEVELS:  # a power takes ten times as long as a table
         table = to_linear(np.arange(_LEVELS, dtype=np.float32) / (_LEVELS - 1), transfer)
-        each_band(lambda rows: _look_up(image[rows], table), len(image))
+        each_band(lambda rows: _look_up(image[rows], table, transfer), len(image))
     elif encoding.is_encoded:
         image = to_linear(image, transfer)
     return image if encoding.response is None else encoding.response.light(image)
 
 
-def _look_up(values: np.ndarray, table: np.ndarray) -> None:
-    """Replace values in [0, 1] by the entry of a table that is nearest; what lies outside is clipped."""
+def _look_up(values: np.ndarray, table: np.ndarray, transfer: Transfer) -> None:
+    """Decode values in place: those in [0, 1] by the entry of a table that is nearest, the few others one by one."""
+    outside = (values < 0) | (values > 1)
+    others = values[outside]
     scaled = values * np.float32(len(table) - 1)
     scaled += np.float32(0.5)
     np.take(table, np.clip(scaled, 0, len(table) - 1).astype(np.int32), out=values, mode="clip")
+    values[outside] = to_linear(others, transfer)
 
 
 def _cubic(t: float) -> np.ndarray:
