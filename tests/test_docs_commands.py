@@ -46,6 +46,7 @@ NOT_RUN = {
     "depth --files-from": "no cluster here: test_archive.py starts one",
     "record webcam": "no camera here: test_sources.py has others",
     "record picamera2": "no camera here: test_picamera.py has a stand-in",
+    "check neutral.jpg": "no prints here: test_siting_check.py makes some",
     "serve": "until Ctrl-C: test_app_server.py asks it",
     "live webcam": "no camera here: test_live.py shows a simulated one, test_streams.py streams",
 }

@@ -36,6 +36,11 @@ class VideoSource(FileSource):
     camera_encoding : Encoding, optional
         See `choose_encoding`.
     listener : callable, optional
+
+    Attributes
+    ----------
+    form : PictureFormat or None
+        Of the last frame.
     """
 
     def __init__(
@@ -57,6 +62,7 @@ class VideoSource(FileSource):
             self.stated = self.stated.or_else(camera_encoding.stated)
         self.levels: dict[str, Any] = {"black_level": black_level, "white_level": white_level}
         self.levels["camera_encoding"] = camera_encoding
+        self.form: PictureFormat | None = None
         self._clip: av.container.InputContainer | None = None
 
     def open(self) -> None:
@@ -82,12 +88,12 @@ class VideoSource(FileSource):
         """Yield all frames; report when there are fewer than the file declares, and when it is to be turned."""
         if self._clip is None:
             raise InputError(f"{self.name} is not open: use the source in a with statement")
-        promised, index = self._clip.streams.video[0].frames, 0
-        form: PictureFormat | None = None
+        promised, index, self.form = self._clip.streams.video[0].frames, 0, None
         first_s: float | None = None
         for frame in self._decoded():
+            form = self.form
             if form is None or (frame.width, frame.height) != form.size_px:
-                form = self._format(frame)
+                form = self.form = self._format(frame)
                 if form.turn_degrees and index == 0:
                     said = f"{self.name} is to be turned by {form.turn_degrees} degrees for people; "
                     stay = "frames stay as the sensor delivers them, like the calibration"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,12 +21,25 @@ from chromaperture.cli.options import (
 )
 from chromaperture.errors import CaptureWarning, InputError
 
+if TYPE_CHECKING:
+    from chromaperture.evaluation.health import Check
+
 _STYLES = {"ok": "green", "warn": "bold red", "cannot tell": "dim"}
 
 
 def check(
-    photo: Annotated[Path, typer.Argument(help="Photograph, best of the chessboard.", metavar="PHOTO")],
+    photo: Annotated[
+        Path,
+        typer.Argument(help="Photograph, best of the chessboard; with --coloured of a neutral print.", metavar="PHOTO"),
+    ],
     camera: Camera,
+    coloured: Annotated[
+        Path | None,
+        typer.Option(
+            help="Of a coloured print at the same place and distance: check where the chroma of such files lies.",
+            metavar="PHOTO",
+        ),
+    ] = None,
     board: Annotated[
         str | None, typer.Option(help="Inner corners of the chessboard, such as 9x6; default the calibration's.")
     ] = None,
@@ -44,22 +57,28 @@ def check(
     Exit code 0: as calibrated; 1: changed; 2: it cannot tell, because no board was found or the input cannot be used.
 
     chromaperture check board.png --camera camera.asdf
+
+    chromaperture check neutral.jpg --coloured orange.jpg --camera camera.asdf
     """
-    from dataclasses import asdict
-
-    from rich.markup import escape
-
     from chromaperture.camera import CodedApertureCamera
     from chromaperture.camera_file import Calibration
     from chromaperture.camera_parts import Board
     from chromaperture.capture.developed import other_colours
     from chromaperture.capture.exif import read_exif
-    from chromaperture.cli.console import out as console
-    from chromaperture.cli.console import print_json, table
     from chromaperture.cli.setup import stated_facts, with_stated
-    from chromaperture.evaluation.health import Check, check_camera, is_healthy, outcome
+    from chromaperture.evaluation.health import Check, check_camera, outcome
 
-    eye = CodedApertureCamera(with_stated(Calibration.load(camera), stated_facts(siting, primaries, mosaic)))
+    calibration = with_stated(Calibration.load(camera), stated_facts(siting, primaries, mosaic))
+    if coloured is not None:
+        from chromaperture.evaluation.chroma_siting import check_siting
+
+        found = check_siting(photo, coloured, calibration)
+        code = {"ok": 0, "warn": 1, "cannot tell": 2}[found.verdict]
+        read = ("Chroma is read right.", "Chroma is read wrong.", "Cannot tell where the chroma of the files lies.")
+        names = {"photo": photo.name, "coloured": coloured.name}
+        _tell(names, camera.name, [found], code, read[code], json=json, quiet=quiet)
+        return
+    eye = CodedApertureCamera(calibration)
     known = eye.calibration.board
     size = inner_corners(board) if board else known.inner_corners if known else (9, 6)
     side_mm = square_mm if square_mm is not None else known.square_mm if known else None
@@ -85,11 +104,28 @@ def check(
         "Changed since the calibration, or not a photograph of this camera: see the tests that warn.",
         "Cannot tell: focus, iris and filter orientation were not checked, because no board was measured.",
     )[code]
+    _tell({"photo": photo.name}, camera.name, checks, code, verdict, json=json, quiet=quiet)
+
+
+def _tell(
+    names: dict[str, str], camera: str, checks: list[Check], code: int, verdict: str, *, json: bool, quiet: bool
+) -> None:
+    """Print what was found, and end with the exit code."""
+    from dataclasses import asdict
+
+    from rich.markup import escape
+
+    from chromaperture.cli.console import out as console
+    from chromaperture.cli.console import print_json, table
+
     if json:
-        shown = {"photo": photo.name, "ok": is_healthy(checks), "exit_code": code, "verdict": verdict}
-        print_json(shown | {"checks": [asdict(c) for c in checks]})
+        print_json(
+            names
+            | {"ok": all(c.verdict != "warn" for c in checks), "exit_code": code, "verdict": verdict}
+            | {"checks": [asdict(c) for c in checks]}
+        )
     elif not quiet:
-        rows = table(f"{photo.name} against {camera.name}", "test", "verdict", "found", "what to do", left=4)
+        rows = table(f"{', '.join(names.values())} against {camera}", "test", "verdict", "found", "what to do", left=4)
         for c in checks:
             rows.add_row(c.name, f"[{_STYLES[c.verdict]}]{c.verdict}[/]", escape(c.finding), escape(c.advice))
         console.print(rows)
