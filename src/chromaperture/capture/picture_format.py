@@ -100,6 +100,18 @@ class PictureFormat:
         name, parameters = ("srgb" if self.is_encoded else "linear", ()) if transfer is None else transfer
         return Encoding(0.0, white, name, to_srgb=self.space.to_srgb(), given=False, curve_parameters=parameters)
 
+    def __str__(self) -> str:
+        """Describe the file in words."""
+        parts = [f"{self.kind} of {self.bits} bits"]
+        if self.mosaic is not None:
+            parts.append("a Bayer mosaic, a pixel for every cell")
+        elif self.reduction > 1:
+            width, height = self.read_size_px
+            parts.append(f"{self.chroma} chroma, read at {width}x{height} px")
+        if self.space.to_srgb() is not None:
+            parts.append(f"{self.space.name} brought to sRGB")
+        return ", ".join(parts)
+
     def record(self) -> dict[str, Any]:
         """Return the facts as JSON, for results and camera files."""
         transfer = self.space.transfer

@@ -87,17 +87,20 @@ def check(
     target = None if side_mm is None else Board(size, side_mm)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", CaptureWarning)
-        image = eye.read(photo, black_level=black_level, white_level=white_level)
+        taken = eye.photograph(photo, black_level=black_level, white_level=white_level)
+    height, width = taken.image.shape[:2]
+    if eye.shows_frame_at((width, height)):
+        eye = eye.at_size(width, height)
     file_checks = [
-        Check("file", "warn", str(w.message), "give the original file: 16 bit, or 4:4:4")
+        Check("file", "warn", str(w.message), "give the original file, of 16 bit")
         for w in caught
         if issubclass(w.category, CaptureWarning)
-    ] or [Check("file", "ok", "no loss of colour resolution or levels was found")]
+    ] or [Check("file", "ok", "its levels and colours are read" if taken.form is None else f"it is {taken.form}")]
     differs = other_colours(photo, eye.calibration.provenance)
     if differs:
         finding, _, advice = differs.partition("; ")
         file_checks.append(Check("colours", "warn", finding, advice))
-    checks = file_checks + check_camera(image, eye.calibration, board=target, exif=read_exif(photo))
+    checks = file_checks + check_camera(taken.image, eye.calibration, board=target, exif=read_exif(photo))
     code = outcome(checks)
     verdict = (
         "As calibrated.",
