@@ -154,17 +154,6 @@ def test_wrong_sheets_are_named(tmp_path, filled, rendered):
     assert problems(filled, bright, kind="white", sheet="open") == {"exposure"}
 
 
-def test_chroma_subsampling_is_noted_but_not_refused(tmp_path, rendered):
-    counts = cv2.imread(str(rendered / "board" / "1500.png"), cv2.IMREAD_UNCHANGED)
-    light = np.clip((counts - 16.0) / 1000, 0, 1)
-    path = tmp_path / "1500.jpg"
-    flags = (cv2.IMWRITE_JPEG_QUALITY, 97, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420)
-    cv2.imwrite(str(path), (255 * light ** (1 / 2.2)).astype(np.uint8), flags)
-    session = SessionFolder.create(tmp_path / "jpeg", {k: v for k, v in FACTS.items() if "level" not in k})
-    found = check_shot(session, path, "board", ruler_mm=1500)
-    assert [check.verdict for check in found.checks if check.name == "colour resolution"] == ["cannot tell"]
-
-
 def test_a_photograph_of_another_size_or_kind_is_refused(tmp_path, filled, rendered):
     small = spoiled(tmp_path, rendered / "board" / "1500.png", lambda c: c[::2, ::2])
     with pytest.raises(InputError, match="180x120"):

@@ -245,12 +245,8 @@ def _exposure(image: np.ndarray) -> Check:
 
 
 def _file(notes: Sequence[str]) -> list[Check]:
-    """Say what reading the file warned of; chroma subsampling costs accuracy but no photograph."""
-    return [
-        Check("colour resolution" if "chroma" in note else "file", "cannot tell", note, "RAW or PNG is better, where "
-              "the camera can" if "chroma" in note else "")
-        for note in notes
-    ]  # fmt: skip
+    """Say what reading the file warned of."""
+    return [Check("file", "cannot tell", note, "") for note in notes]
 
 
 def _against_ruler(reading: Reading, session: Session) -> list[Check]:

@@ -111,7 +111,7 @@ def _settings(plan: PlannedSession) -> str:
 design = "{plan.design}"    # the aperture, as "chromaperture apertures" names it
 
 [sensor]
-# Of a photograph as it is read: half the camera's for RAW files and mosaics, whose 2 x 2 cells become one pixel.
+# Of a photograph as it is read: half the camera's for RAW files, mosaics and 4:2:0 chroma (most JPEG).
 width_px = {width}
 height_px = {height}
 pixel_pitch_mm = {_number(pitch)}    # width of the sensor in mm / width_px

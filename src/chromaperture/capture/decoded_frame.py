@@ -1,7 +1,7 @@
 """Frames that FFmpeg decodes, as stored: of video, JPEG, WebP and AVIF files.
 
-FFmpeg's own conversions to R, G, B are not used: they bring chroma up to the size of luma, and take it for centred
-whatever the stream says.
+FFmpeg's own conversions to R, G, B are not used: they bring chroma up to the size of luma, and most of them take it for
+centred whatever the stream says.
 """
 
 from __future__ import annotations

@@ -189,6 +189,8 @@ def read_counts(
     stated: StatedFacts = NOTHING_STATED,
 ) -> tuple[np.ndarray, Encoding, PictureFormat | None]:
     """Read a photograph's counts, (H, W, 3), how they become light, see `choose_encoding`, and what the file is."""
+    if camera_encoding is not None:
+        stated = stated.or_else(camera_encoding.stated)
     decoded = decode(path, stated=stated)
     levels = {"black_level": black_level, "white_level": white_level}
     return decoded.array, encoding_of(decoded, **levels, camera_encoding=camera_encoding), decoded.form

@@ -49,10 +49,7 @@ class FolderSource(FileSource):
     ) -> None:
         super().__init__(pattern, listener=listener)
         self.fps, self.levels = checked_fps(fps), dict[str, Any](black_level=black_level, white_level=white_level)
-        stated = StatedFacts(siting, primaries, mosaic)
-        if camera_encoding is not None:
-            stated = stated.or_else(camera_encoding.stated)
-        self.levels |= {"camera_encoding": camera_encoding, "stated": stated}
+        self.levels |= {"camera_encoding": camera_encoding, "stated": StatedFacts(siting, primaries, mosaic)}
         self.paths: list[Path] = []
 
     def open(self) -> None:

@@ -95,7 +95,9 @@ def check(
         Check("file", "warn", str(w.message), "give the original file, of 16 bit")
         for w in caught
         if issubclass(w.category, CaptureWarning)
-    ] or [Check("file", "ok", "its levels and colours are read" if taken.form is None else f"it is {taken.form}")]
+    ]
+    if taken.form is not None:
+        file_checks.insert(0, Check("kind", "ok", str(taken.form)))
     differs = other_colours(photo, eye.calibration.provenance)
     if differs:
         finding, _, advice = differs.partition("; ")

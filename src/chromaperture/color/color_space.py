@@ -77,7 +77,7 @@ def to_linear(values: np.ndarray, transfer: Transfer) -> np.ndarray:
     Parameters
     ----------
     values
-        Encoded values in [0, 1], any shape; what lies outside is clipped.
+        Encoded values in [0, 1], any shape; what lies outside is clipped, but goes on with ``srgb``.
     transfer
         The curve.
 

@@ -88,7 +88,7 @@ function draw() {
   if (session.shots.at(-1)?.kind === "tone" && session.tone_error === null) kind.value = "tone";  // its second exposure
   if (next.ruler_mm) ruler.value = next.ruler_mm;
   if (next.sheet) sheet.value = next.sheet;
-  const file = make("input", { id: "shot-file", type: "file", multiple: true, class: "unseen", accept: "image/*,.dng,.arw,.cr2,.cr3,.nef,.orf,.raf,.rw2,.tif,.tiff" });
+  const file = make("input", { id: "shot-file", type: "file", multiple: true, class: "unseen", accept: "image/*,.heic,.avif,.dng,.arw,.cr2,.cr3,.nef,.orf,.raf,.rw2,.pef,.nrw,.srw,.3fr,.rwl,.tif,.tiff" });
   const options = () => ({ kind: kind.value, ruler_mm: kind.value === "board" ? ruler.value : undefined, sheet: kind.value === "white" ? sheet.value : undefined, exposure_ms: kind.value === "tone" ? time.value || exposureOf(camera) : undefined });
   file.addEventListener("change", () => attempt(async () => {
     const files = [...file.files];
