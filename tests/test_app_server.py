@@ -88,7 +88,7 @@ def test_a_frame_is_measured_as_python_measures_it(app, photo):
     np.testing.assert_allclose(sigma[known], frame.sigma_mm[known], atol=facts["sigma"]["step"])
     assert facts["depth"]["step"] < 0.5  # mm
     assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR).shape == photo.shape
-    assert "8-bit" in facts["notes"][0]
+    assert "encoded values" in facts["notes"][0]
 
 
 def test_a_photograph_is_measured_refocused_and_saved(app):

@@ -37,11 +37,15 @@ DeepPng = Callable[[bytes], np.ndarray | None]  # of a 16-bit file; None where i
 Counts = tuple[np.ndarray, PictureFormat, Encoding]
 _ORIENTATION, _EXIF_IFD, _COLOR_SPACE, _INTEROP_IFD, _INTEROP_INDEX = 0x0112, 0x8769, 0xA001, 0xA005, 1
 TURNS = {3: 180, 6: 90, 8: 270}  # codes of EXIF's orientation, degrees clockwise; others are mirrored, or upright
+_JPEG_END = b"\xff\xd9"  # a marker, which coded data do not hold
+_LEAST_TAIL = bytes(4096)  # that no encoder writes: what a broken copy leaves
 _CODECS = {"JPEG": "mjpeg", "WebP": "webp"}
 
 
 def format_of_data(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
     """Return what a file is by its header; raises InputError, or what decoders raise on a damaged file."""
+    if (is_heif(data) or data.startswith(b"WEBP", 8)) and data.endswith(_LEAST_TAIL):
+        raise ValueError("the file ends in zeros")
     if is_heif(data):
         return heif_format(data, name, stated)
     if data.startswith(TIFF_MARKS):
@@ -69,7 +73,7 @@ def format_of_data(data: bytes, name: str, stated: StatedFacts) -> PictureFormat
     return PictureFormat(
         kind, picture.size, 16 if _is_deep(data) else 8, factors, stated.siting or "centre",
         LUMA_WEIGHTS[2] if factors != (1, 1) else None, space=space,
-        full_range=kind != "WebP", turn_degrees=turn, known_from=known,
+        full_range=kind != "WebP" or factors == (1, 1), turn_degrees=turn, known_from=known,
     )  # fmt: skip
 
 
@@ -103,6 +107,8 @@ def counts_of_data(data: bytes, form: PictureFormat, name: str, stated: StatedFa
         counts, white = counts_of_frame(decode_packet(_CODECS[form.kind], data), form)
         return counts, form, form.encoding(white)
     counts, white = samples_of_data(data, name, deep_png=deep_png), {8: 255.0, 16: 65535.0}.get(form.bits, 1.0)
+    if form.kind == "PNM" and form.bits == 16:
+        white = float(_pnm_fields(data)[3])
     if form.mosaic is None:
         return counts, form, form.encoding(white)
     sites = counts if counts.ndim == 2 else counts[..., 0]
@@ -123,6 +129,8 @@ def samples_of_data(
         check_png_sums(data)
     else:
         picture.verify()
+    if picture.format in ("JPEG", "MPO") and data.find(_JPEG_END, picture.tile[0].offset) < 0:
+        raise ValueError("a JPEG file without its end, which Pillow would paint grey")
     if not _is_deep(data):
         picture = open_picture(data)
         return np.asarray(picture.convert("RGB") if picture.mode in ("P", "RGBA", "YCbCr") else picture)
@@ -141,8 +149,8 @@ def samples_of_data(
 
 def _factors(picture: Image.Image, data: bytes) -> tuple[int, int]:
     """Return columns and rows of luma to one chroma sample."""
-    if picture.format == "WEBP":  # lossless, maybe after a header
-        return (1, 1) if b"VP8L" in data[:64] else (2, 2)
+    if picture.format == "WEBP":
+        return (1, 1) if _is_lossless_webp(data) else (2, 2)
     if not isinstance(picture, JpegImagePlugin.JpegImageFile):
         return 1, 1
     if len(picture.layer) == 4:
@@ -151,10 +159,21 @@ def _factors(picture: Image.Image, data: bytes) -> tuple[int, int]:
     return (max(sides)[0] // min(sides)[0], max(s[1] for s in sides) // min(s[1] for s in sides))
 
 
+def _is_lossless_webp(data: bytes) -> bool:
+    """Find the chunk of the picture among those of a RIFF file."""
+    at = 12
+    while at + 8 <= len(data):
+        name, length = data[at : at + 4], int.from_bytes(data[at + 4 : at + 8], "little")
+        if name in (b"VP8 ", b"VP8L"):
+            return name == b"VP8L"
+        at += 8 + length + length % 2
+    return False
+
+
 def _space_of(picture: Image.Image, data: bytes) -> ColorSpace:
     """Return what a picture's tags say of its colours; raises InputError where that cannot be undone."""
-    if data.startswith(PNG_MARK):
-        return of_png(data) or UNTAGGED
+    if data.startswith(PNG_MARK) and (tagged := of_png(data)) is not None:
+        return tagged
     if profile := picture.info.get("icc_profile"):
         return of_icc(profile)
     exif = _exif(picture)  # most cameras state Adobe RGB here, and write no profile
@@ -214,9 +233,14 @@ def _is_deep(data: bytes) -> bool:
     if data.startswith(PNG_MARK):
         return len(data) > 24 and data[24] == 16
     if data[:2] in (b"P5", b"P6"):
-        fields = [f for line in data[:512].split(b"\n") for f in line.split(b"#")[0].split()]
+        fields = _pnm_fields(data)
         return len(fields) > 3 and int(fields[3]) > 255
     return False
+
+
+def _pnm_fields(data: bytes) -> list[bytes]:
+    """Return the words of a PNM file's header: its kind, width, height and highest count."""
+    return [f for line in data[:512].split(b"\n") for f in line.split(b"#")[0].split()]
 
 
 def _deep_pnm(data: bytes, picture: Image.Image) -> np.ndarray:

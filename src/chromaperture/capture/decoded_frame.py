@@ -19,7 +19,7 @@ from chromaperture.color.encoding import NOTHING_STATED, Siting, StatedFacts
 from chromaperture.errors import InputError
 
 logging.getLogger("libav").addHandler(logging.NullHandler())  # as for tifffile: an error is one line of ours
-av.logging.set_level(None)
+av.logging.set_level(av.logging.ERROR)
 _FULL_RANGE = 2  # FFmpeg's code
 _PACKED = {"yuyv422": (0, 1, 3), "uyvy422": (1, 0, 2), "yvyu422": (0, 3, 1)}  # bytes of two pixels: Y, Cb, Cr
 _UNSPECIFIED = (0, 2)  # H.273; FFmpeg writes 2, 0 is reserved

@@ -57,6 +57,7 @@ class Decoded:
     array: np.ndarray
     own: Encoding | None = None
     form: PictureFormat | None = None
+    name: str = "the picture"
 
     @property
     def sensor_levels(self) -> tuple[float, float] | None:
@@ -176,7 +177,7 @@ def linearise(
     encoding = encoding_of(decoded, **levels, camera_encoding=camera_encoding)
     image = develop_counts(decoded.array, encoding)
     if decoded.form is not None and encoding.to_srgb is not None:
-        check_primaries(image, decoded.form.space.name, "the file")
+        check_primaries(image, decoded.form.space.name, decoded.name)
     return image
 
 
@@ -334,11 +335,14 @@ def _decode(
 
     with _reported(path):
         form = format_of_data(data, path.name, stated).with_stated(stated)
+        check_size(*form.size_px, path.name, None, file_bytes=len(data))
         is_scaled = any_scale and size_px is not None and same_frame(size_px, form.read_size_px)
         check_size(*form.read_size_px, path.name, None if is_scaled else size_px, file_bytes=len(data))
         own = form.encoding(65535.0)
         counts, form, own = counts_of_data(data, form, path.name, stated, lambda data: deep_png(data, own))
-    return Decoded(_checked(counts, path), own, form.with_stated(stated))
+        if counts.shape[1::-1] != form.read_size_px:
+            raise ValueError("another size than its header says")
+    return Decoded(_checked(counts, path), own, form.with_stated(stated), path.name)
 
 
 def _checked(counts: np.ndarray, path: Path) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from chromaperture.capture.native_planes import ENCODED_WHITE, Planes, rgb_of_planes
 from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat
+from chromaperture.capture.picture_header import brands
 from chromaperture.color.color_space import UNTAGGED, of_codes
 from chromaperture.color.color_tags import of_icc
 from chromaperture.color.encoding import StatedFacts
@@ -23,8 +24,7 @@ _MOST_META_BYTES = 1 << 20  # where properties are looked for: before the coded 
 
 def is_heif(data: bytes) -> bool:
     """Recognise a HEIF file that holds HEVC by the brands in its first box."""
-    brands = data[8 : min(int.from_bytes(data[:4], "big"), 256)]
-    return data[4:8] == b"ftyp" and any(brand in brands for brand in (b"heic", b"heix", b"heim", b"heis", b"hevc"))
+    return not {b"heic", b"heix", b"heim", b"heis", b"hevc"}.isdisjoint(brands(data))
 
 
 def heif_format(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
@@ -111,6 +111,8 @@ def _opened(data: bytes, name: str, stated: StatedFacts) -> tuple[Any, PictureFo
     if not picture.mode.startswith("RGB"):
         raise InputError(f"{name} is a grey picture; the depth is in the colours, so give the colour original")
     turn = stored_turn(data, name)
+    if turn and (width % 2 or height % 2) and info.get("chroma") != 444:
+        raise InputError(f"{name} has an odd side and is turned, so that chroma has lost its place; export it as PNG")
     codes, profile = info.get("nclx_profile") or {}, info.get("icc_profile")
     matrix = codes.get("matrix_coefficients", 2)
     if matrix not in LUMA_WEIGHTS:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import logging
 import struct
+import warnings
 
 from PIL import (
     AvifImagePlugin,
@@ -32,7 +33,6 @@ _KINDS: tuple[tuple[tuple[bytes, ...], int, type[ImageFile.ImageFile]], ...] = (
     ((b"\xff\xd8",), 0, JpegImagePlugin.JpegImageFile),
     ((b"BM",), 0, BmpImagePlugin.BmpImageFile),
     ((b"WEBP",), 8, WebPImagePlugin.WebPImageFile),
-    ((b"avif",), 8, AvifImagePlugin.AvifImageFile),
     (tuple(b"P%d" % number for number in range(1, 7)), 0, PpmImagePlugin.PpmImageFile),
     (TIFF_MARKS, 0, TiffImagePlugin.TiffImageFile),
 )
@@ -53,7 +53,7 @@ _OTHERS = (  # marks, where they are, what such a file is and what to do
 
 def other_kind(data: bytes) -> str | None:
     """Say what a file is that is known but not read as a photograph, and what to do; None for all others."""
-    if any(data.startswith(marks, at) for marks, at, _ in _KINDS):
+    if any(data.startswith(marks, at) for marks, at, _ in _KINDS) or {b"avif"} <= set(brands(data)) - {b"avis"}:
         return None
     return next((what for marks, at, what in _OTHERS if data.startswith(marks, at)), None)
 
@@ -68,10 +68,22 @@ def open_picture(data: bytes) -> ImageFile.ImageFile:
     ValueError
         It is in none of these formats.
     """
-    for marks, at, kind in _KINDS:
-        if data.startswith(marks, at):
-            return kind(io.BytesIO(data))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Pillow's, of damaged tags
+        for marks, at, kind in _KINDS:
+            if data.startswith(marks, at):
+                return kind(io.BytesIO(data))
+        if b"avif" in brands(data):
+            return AvifImagePlugin.AvifImageFile(io.BytesIO(data))
     raise ValueError("no image format that is read")
+
+
+def brands(data: bytes) -> list[bytes]:
+    """Return what an ISO base media file says it is (ISO 14496-12, 4.3); empty for others."""
+    if data[4:8] != b"ftyp":
+        return []
+    end = min(int.from_bytes(data[:4], "big"), 256)
+    return [data[at : at + 4] for at in (8, *range(16, end, 4))]
 
 
 def check_png_sums(data: bytes) -> None:

@@ -55,11 +55,12 @@ class Recorder:
 
     def __init__(self, folder: str | Path, *, source: str = "") -> None:
         self.folder, self.count = Path(folder), 0
-        self._source, self._index = source, -1
+        self._source, self._index, self._is_new = source, -1, False
 
     def __enter__(self) -> Self:
         if (self.folder / HEADER).exists() or (self.folder / _INDEX).exists():
             raise InputError(f"{self.folder} holds a recording already; choose another folder")
+        self._is_new = not self.folder.exists()
         try:
             (self.folder / "frames").mkdir(parents=True, exist_ok=True)
             header = json.dumps({"format": _FORMAT, "source": self._source}) + "\n"
@@ -84,6 +85,8 @@ class Recorder:
                 for path in (self.folder / _INDEX, self.folder / HEADER, *(self.folder / "frames").iterdir()):
                     path.unlink(missing_ok=True)
                 (self.folder / "frames").rmdir()
+                if self._is_new:
+                    self.folder.rmdir()
 
     def write(self, frame: Frame) -> None:
         """Write one frame; it is on the disk when this returns."""

@@ -26,7 +26,7 @@ _DEFLATE = {tifffile.COMPRESSION.ADOBE_DEFLATE, tifffile.COMPRESSION.DEFLATE}
 _COMPRESSIONS = _DEFLATE | {tifffile.COMPRESSION.NONE, tifffile.COMPRESSION.LZW, tifffile.COMPRESSION.PACKBITS}
 _MOST_PAGES = 8  # that are looked at: finding all pages of a hostile file can take minutes
 _REDUCED, _MASK = 1, 4  # bits of NewSubfileType: a preview, a transparency mask
-_COLOURS = {5: "CMYK", 6: "YCbCr", 8: "L*a*b*", 9: "L*a*b*", 10: "L*a*b*", 32844: "LogL", 32845: "LogLuv"}
+_COLOURS = {3: "palette", 5: "CMYK", 6: "YCbCr", 8: "L*a*b*", 9: "L*a*b*", 10: "L*a*b*", 32844: "LogL", 32845: "LogLuv"}
 _PIECE_BYTES = 1_000_000  # unpacked at a time where only the size is wanted
 
 
@@ -61,14 +61,18 @@ def _opened(data: bytes, name: str) -> Iterator[tuple[tifffile.TiffPage, bool]]:
             yield _picture(file)
     except InputError:
         raise
-    except Exception:  # tifffile raises anything on a damaged file
+    except Exception as error:  # tifffile raises anything on a damaged file
+        if "imagecodecs" in str(error):
+            raise InputError(
+                f"{name} is compressed by LZW, which needs: pip install imagecodecs; or export it without compression"
+            ) from None
         raise InputError(
             f"{name} is damaged or not a TIFF file with a picture; copy or export the file again"
         ) from None
 
 
 class TiffHeader(NamedTuple):
-    """What the picture of a TIFF file is; ``profile``: its ICC profile, ``orientation``: EXIF's code."""
+    """What the picture of a TIFF file is; ``profile``: its ICC profile; ``orientation``: EXIF's code."""
 
     size_px: tuple[int, int]
     bits: int
@@ -90,7 +94,9 @@ def tiff_header(data: bytes, name: str) -> TiffHeader:
 
 def _picture(file: tifffile.TiffFile) -> tuple[tifffile.TiffPage, bool]:
     """Return the largest of the first pages that are no previews or masks, and whether another is as large."""
-    pages = [page for page in islice(file.pages, _MOST_PAGES) if isinstance(page, tifffile.TiffPage)]
+    top = [page for page in islice(file.pages, _MOST_PAGES) if isinstance(page, tifffile.TiffPage)]
+    inner = (part for page in top for part in islice(page.pages or (), _MOST_PAGES))
+    pages = [*top, *(page for page in inner if isinstance(page, tifffile.TiffPage))]
     full = [page for page in pages if not page.subfiletype & (_REDUCED | _MASK) and page.shape] or pages[:1]
     sizes = [page.imagewidth * page.imagelength for page in full]
     return full[sizes.index(max(sizes))], sizes.count(max(sizes)) > 1

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import av
 import av.container
+import av.logging
 
 from chromaperture.capture.checks import check_primaries
 from chromaperture.capture.decoded_frame import counts_of_frame, format_of_frame
@@ -16,7 +17,13 @@ from chromaperture.capture.source import Event, FileSource, Frame, Listener, che
 from chromaperture.color.encoding import Encoding, Siting, StatedFacts
 from chromaperture.errors import InputError
 
-_CENTRED_Y4M = (b" C420jpeg", b" C420 ", b" C420\n")  # mjpegtools' names of 4:2:0; the others say where it is
+_WHITELISTS = {
+    "protocol_whitelist": "file",
+    "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts,mpeg,mpegvideo,yuv4mpegpipe,mjpeg,mxf,asf,"
+    "flv,ogg,h264,hevc,nut",
+}
+_MOST_MISSING_S = 0.25  # of a clip's stated length, beside the last frames: its sound may last longer
+_CENTRED_Y4M = (b" C420jpeg", b" C420 ", b" C420\n")  # mjpegtools' names of 4:2:0; the others lie left
 
 
 class VideoSource(FileSource):
@@ -70,7 +77,8 @@ class VideoSource(FileSource):
         if not os.path.isfile(self.name):
             raise InputError(f"no video at {self.name}")
         try:
-            self._clip = av.open(self.name)
+            # A name with a colon would be an address, and a list of files would open others.
+            self._clip = av.open(os.path.abspath(self.name), options=dict(_WHITELISTS))
             self._clip.streams.video[0].thread_type = "AUTO"
         except (av.FFmpegError, ValueError, IndexError, OSError):
             self.close()
@@ -89,7 +97,7 @@ class VideoSource(FileSource):
         if self._clip is None:
             raise InputError(f"{self.name} is not open: use the source in a with statement")
         promised, index, self.form = self._clip.streams.video[0].frames, 0, None
-        first_s: float | None = None
+        first_s = last_s = None
         for frame in self._decoded():
             form = self.form
             if form is None or (frame.width, frame.height) != form.size_px:
@@ -102,6 +110,7 @@ class VideoSource(FileSource):
             encoding = choose_encoding(form.encoding(white), counts, **self.levels)
             stated_s = None if frame.time is None else float(frame.time)
             first_s = stated_s if first_s is None else first_s
+            last_s = None if stated_s is None or first_s is None else stated_s - first_s
             if self.fps is not None or stated_s is None or first_s is None:
                 time_s = index / (self.fps or 30.0)
             else:
@@ -113,23 +122,33 @@ class VideoSource(FileSource):
             index += 1
         if index == 0:
             raise InputError(f"{self.name} holds no frame that can be decoded; record or convert it again")
+        length_s = (self._clip.duration or 0) / av.time_base
         if index < promised:
             self.listener(Event("skipped", f"{self.name} ends after {index} of {promised} frames"))
+        elif last_s is not None and last_s * (index + 2) / index + _MOST_MISSING_S < length_s:
+            self.listener(Event("skipped", f"{self.name} ends after {last_s:.1f} of {length_s:.1f} s"))
 
     def _decoded(self) -> Iterator[av.VideoFrame]:
         """Yield the frames that can be decoded; report the others once."""
         assert self._clip is not None
-        is_damaged = False
+        is_said = False
         try:
-            for packet in self._clip.demux(self._clip.streams.video[0]):
-                try:
-                    frames = packet.decode()
-                except av.FFmpegError:
-                    frames = []
-                    if not is_damaged:
-                        self.listener(Event("skipped", f"{self.name} is damaged; frames are left out"))
-                    is_damaged = True
-                yield from frames
+            # Decoders conceal damage, and only log it, on threads of their own.
+            with av.logging.Capture(local=False) as said:
+                for packet in self._clip.demux(self._clip.streams.video[0]):
+                    try:
+                        frames = packet.decode()
+                    except av.FFmpegError as error:
+                        frames = []
+                        said.append((av.logging.ERROR, "", str(error.strerror)))
+                    if said and not is_said:
+                        why = said[0][2].strip()
+                        self.listener(
+                            Event("skipped", f"{self.name} is damaged ({why}): frames are left out, or wrong")
+                        )
+                    is_said = is_said or bool(said)
+                    said.clear()
+                    yield from frames
         except av.FFmpegError as error:  # of the container
             self.listener(Event("skipped", f"{self.name} is damaged ({error.strerror}); the rest is left out"))
 

@@ -59,7 +59,7 @@ def export(
     from chromaperture.cli.console import compile_kernels, progress, say_warning
     from chromaperture.cli.setup import camera_for
     from chromaperture.cli.streams import open_stream
-    from chromaperture.products.rectified import undistorter
+    from chromaperture.products.rectified import of_stream, undistorter
 
     chosen = format or ("mcap" if out.suffix == ".mcap" else "tum")
     if chosen not in _FORMATS:
@@ -67,16 +67,19 @@ def export(
     if trajectory is not None and chosen not in _POSED:
         raise InputError(f"{chosen} holds no poses; give --trajectory with {' or '.join(_POSED)}")
     eye = camera_for(out, camera, None, quality=quality, config=None, device=device)
-    matrix = eye.calibration.lens.camera_matrix
-    write, see = _writer(chosen, matrix, trajectory)
-    to_view = undistorter(eye)
+    undistorter(eye)  # refuses a camera that was never calibrated before anything is compiled
+    _writer(chosen, eye.calibration.lens.camera_matrix, trajectory)
     compile_kernels(quality, quiet=quiet)
     stream = open_stream(source, calibration=eye.calibration, black_level=black_level, white_level=white_level)
     with stream, progress(quiet=quiet) as update:
+        eye, frames = of_stream(eye, stream)
+        matrix = eye.calibration.lens.camera_matrix
+        write, see = _writer(chosen, matrix, trajectory)
+        to_view = undistorter(eye)
 
         def views() -> Iterator[View]:
             written = 0
-            for frame in stream:
+            for frame in frames:
                 try:
                     measured = eye.measure(frame.image)
                 except InputError as error:

@@ -199,6 +199,8 @@ def measure_only(
     with clock("read"), within_memory(path.name):
         photograph = camera.photograph(path, black_level=black_level, white_level=white_level)
         image, form = photograph.image, photograph.form
+        if form is not None and form.reduction > 1 and camera.shows_frame_at(form.read_size_px):
+            camera = camera.at_size(*form.read_size_px)  # as expected: nothing to warn of
     _check_model(path, camera)
     if form is not None and form.turn_degrees:
         warnings.warn(

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 import cv2
 import numpy as np
 
 from chromaperture.camera import CodedApertureCamera, DepthFrame
 from chromaperture.capture.picture_header import other_size
+from chromaperture.capture.source import Frame
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.errors import InputError
 
@@ -46,6 +48,17 @@ def nanoseconds(time_s: float) -> int:
     """Return seconds as whole nanoseconds, as exactly as the seconds are known."""
     whole, part = divmod(time_s, 1.0)
     return int(whole) * 10**9 + round(part * 1e9)
+
+
+def of_stream(camera: CodedApertureCamera, frames: Iterable[Frame]) -> tuple[CodedApertureCamera, Iterator[Frame]]:
+    """Return the camera at the size of a stream's frames, where they show the whole frame, and the stream."""
+    rest = iter(frames)
+    first = next(rest, None)
+    if first is None:
+        return camera, rest
+    height, width = first.counts.shape[:2]
+    camera = camera.at_size(width, height) if camera.shows_frame_at((width, height)) else camera
+    return camera, chain([first], rest)
 
 
 def undistorter(camera: CodedApertureCamera) -> Callable[[DepthFrame, float, int], View]:

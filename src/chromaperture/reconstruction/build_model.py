@@ -13,7 +13,7 @@ import numpy as np
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.capture.source import Frame
 from chromaperture.errors import InputError
-from chromaperture.products.rectified import undistorter
+from chromaperture.products.rectified import of_stream, undistorter
 from chromaperture.reconstruction.fusion import Placed, Reconstruction
 from chromaperture.reconstruction.model_files import glb, write_mesh_ply, write_trajectory
 from chromaperture.reconstruction.settings import ReconstructionConfig
@@ -54,6 +54,7 @@ def reconstruct(
         A camera that was never calibrated, no frame, or none with depth.
     """
     open3d()
+    camera, frames = of_stream(camera, frames)
     to_view = undistorter(camera)
     model = Reconstruction(camera.calibration.lens.camera_matrix, config, listener=listener)
     try:

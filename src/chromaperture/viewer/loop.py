@@ -295,6 +295,9 @@ class LiveLoop:
         start = time.monotonic()
         try:
             with self.watchdog.stage("measure"):
+                height, width = frame.counts.shape[:2]
+                if self.camera.shows_frame_at((width, height)):
+                    self.camera = self.camera.at_size(width, height)
                 begun = self.camera.begin(frame.image) if self.camera.measures_ahead else None
                 return _Ahead(arrived, frame, start, begun)
         except Exception as error:  # of this frame, whatever it holds; the next may be in order
@@ -330,11 +333,13 @@ class LiveLoop:
         self.unused += 1
 
     def _tracking(self) -> None:
-        model = Reconstruction(self.camera.calibration.lens.camera_matrix, self.config, listener=self.say_rarely)
-        self.model = model
-        to_view = undistorter(self.camera)
         next_mesh, root = time.monotonic() + self._mesh_every_s, 0
         while (item := self._to_track.take()) is not None:
+            if self.model is None:  # by now the camera has the size of the frames
+                matrix = self.camera.calibration.lens.camera_matrix
+                self.model = Reconstruction(matrix, self.config, listener=self.say_rarely)
+                to_view = undistorter(self.camera)
+            model = self.model
             start = time.monotonic()
             with self.watchdog.stage("track"):
                 try:
@@ -358,8 +363,8 @@ class LiveLoop:
                     next_mesh = start + max(self._mesh_every_s, _MESH_REST * taken)
             now = time.monotonic()
             self.meters["tracking"].record(now - start, now - item.arrived)
-        if model.current is not None:
-            self.mesh = model.mesh(model.current.root)
+        if self.model is not None and self.model.current is not None:
+            self.mesh = self.model.mesh(self.model.current.root)
         self._finish()
 
     def _finish(self) -> None:

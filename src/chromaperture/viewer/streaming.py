@@ -39,9 +39,10 @@ class Streaming:
         self._thread.join(timeout=_JOIN_S)
 
     def _run(self) -> None:
-        to_view, posed = undistorter(self.loop.camera), None
+        to_view, posed = None, None
         while (item := self._slot.take()) is not None:
             try:
+                to_view = to_view or undistorter(self.loop.camera)  # by now it has the size of the frames
                 self.stream.send(to_view(item.measurement, item.frame.time_s, item.frame.index))
                 placed = self.loop.placed
                 if placed is not None and placed.pose is not None and placed is not posed:
