@@ -1,7 +1,9 @@
 """Time to read a photograph and a video's frames, over Pillow's and OpenCV's in the same run.
 
 A JPEG of 24 megapixels, 4:2:0, and a clip of 1080p, H.264 4:2:0. Ours are read at the size of their chroma, to linear
-light, of the clip to counts, too; the peers' to 8-bit R, G, B (or B, G, R) of full size. Needs no data. Usage: python benchmarks/reading_speed.py
+light, of the clip to counts, too; the peers' to 8-bit R, G, B (or B, G, R) of full size. Needs no data.
+
+    python benchmarks/reading_speed.py
 """
 
 from __future__ import annotations

@@ -58,6 +58,9 @@ class Eye:
         self.gate, self.seen = threading.Semaphore(0), []
         self.fails = False
 
+    def shows_frame_at(self, size_px) -> bool:
+        return False
+
     def measure(self, image: np.ndarray) -> SimpleNamespace:
         self.gate.acquire()
         if self.fails:

@@ -80,6 +80,9 @@ class Eye:
 
     measures_ahead, device_method = False, None
 
+    def shows_frame_at(self, size_px) -> bool:
+        return False
+
     def __init__(self) -> None:
         real = load_camera(SAMPLE)
         self.calibration, self.config = real.calibration, real.config

@@ -14,8 +14,9 @@ from functools import cache
 import av
 import cv2
 import numpy as np
+import pillow_heif
 import pytest
-from PIL import Image
+from PIL import Image, ImageCms
 
 import chromaperture as cap
 from chromaperture.capture.files import format_of, image_size
@@ -24,8 +25,10 @@ from chromaperture.capture.picture_format import PictureFormat
 from chromaperture.capture.video import VideoSource
 from chromaperture.capture.webcam import Webcam
 from chromaperture.errors import InputError
+from chromaperture.products.samples import sample_camera, sample_image
 
 WIDTH, HEIGHT = 512, 384
+SRGB_PROFILE = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
 GREY, ORANGE = (0.7, 0.69, 0.7), (0.8, 0.4, 0.2)
 COLOURS = [GREY, ORANGE, (0.2, 0.5, 0.3), (0.9, 0.7, 0.6), (0.4, 0.6, 0.9)]  # the last three: leaf, skin, sky
 WEIGHTS = {"bt601": (0.299, 0.114, 5), "bt709": (0.2126, 0.0722, 1)}  # of R and B in luma, and FFmpeg's code
@@ -137,6 +140,8 @@ def test_sizes_that_are_no_multiple_of_a_chroma_cell(size):
 
 
 def written(path, colour, *, apart=0.0, **settings):
+    if path.suffix == ".heic":
+        pillow_heif.register_heif_opener()
     counts = np.rint(255 * scene(grid(), colour, apart)).astype(np.uint8)
     Image.fromarray(counts).save(path, **settings)
     return path
@@ -153,9 +158,6 @@ KINDS = {  # file and how it is written; how far a colour may be off a grey, px 
 
 @pytest.mark.parametrize("name", KINDS)
 def test_colours_of_photographs_are_in_one_place(tmp_path, name):
-    import pillow_heif
-
-    pillow_heif.register_heif_opener()
     moved = []
     for colour in COLOURS:
         path = written(tmp_path / name, colour, **KINDS[name])
@@ -167,9 +169,6 @@ def test_colours_of_photographs_are_in_one_place(tmp_path, name):
 
 @pytest.mark.parametrize("name", KINDS)
 def test_displacements_are_kept(tmp_path, name):
-    import pillow_heif
-
-    pillow_heif.register_heif_opener()
     found = [
         2 * apart_px(cap.read_image(written(tmp_path / name, colour, apart=4.0, **KINDS[name]))) for colour in COLOURS
     ]
@@ -178,10 +177,7 @@ def test_displacements_are_kept(tmp_path, name):
 
 
 def test_a_heic_file_of_tiles_that_is_to_be_turned_stays_as_the_sensor_delivered_it(tmp_path, monkeypatch):
-    import pillow_heif
-
     monkeypatch.setattr(pillow_heif.options, "GRID_TILE_SIZE", 128)
-    pillow_heif.register_heif_opener()
     exif = Image.Exif()
     exif[0x0112] = 6  # "turn by 90 degrees clockwise", as a phone that is held upright
     path = written(tmp_path / "a.heic", ORANGE, quality=95, exif=exif.tobytes())
@@ -201,9 +197,6 @@ def test_full_chroma_keeps_the_size(tmp_path):
 
 @pytest.mark.parametrize("name", KINDS)
 def test_a_file_that_is_cut_off_is_refused(tmp_path, name):
-    import pillow_heif
-
-    pillow_heif.register_heif_opener()
     path = written(tmp_path / name, ORANGE, **KINDS[name])
     data = path.read_bytes()
     for share in (0.3, 0.6, 0.97):
@@ -469,3 +462,51 @@ def _packed(part):
     if isinstance(part, int):
         return struct.pack("<I", part)
     return struct.pack("<H", len(part)) + b"".join(struct.pack("<HHII", *tag) for tag in part) + bytes(4)
+
+
+# ---- broken copies, and streams of the camera's own size
+
+
+def test_lossless_webp_behind_a_profile_has_all_its_colours(tmp_path):
+    path = written(tmp_path / "a.webp", ORANGE, lossless=True, icc_profile=SRGB_PROFILE)
+    assert image_size(path) == cap.read_image(path).shape[1::-1] == (WIDTH, HEIGHT)
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "full.jpg", "a.webp", "a.heic"])
+def test_a_copy_that_ends_in_zeros_is_refused(tmp_path, name):
+    path = written(tmp_path / name, ORANGE, **KINDS.get(name, {"quality": 95, "subsampling": 0}))
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 2 // 3] + bytes(max(8192, len(data) // 3)))
+    with pytest.raises(InputError, match=r"damaged|decode"):
+        cap.read_image(path)
+
+
+def test_damage_that_a_decoder_conceals_is_said(tmp_path):
+    path = clip(tmp_path / "a.mp4", "libx264", "yuv420p", planes_of(ORANGE, (2, 2), "left"), options={"crf": "8"})
+    data = bytearray(path.read_bytes())
+    start = data.index(b"mdat") + 2000
+    for at in range(start, start + 20_000, 997):
+        data[at] ^= 0xFF
+    path.write_bytes(data)
+    said = []
+    with VideoSource(str(path), listener=said.append) as source:
+        list(source)
+    assert any("is damaged" in event.message for event in said)
+
+
+def test_a_clip_of_the_cameras_size_is_exported_at_the_size_of_its_chroma(run, tmp_path):
+    counts = cv2.imread(str(sample_image("still_life_cy_halves")), cv2.IMREAD_UNCHANGED)[..., ::-1] / 1016
+    coded = np.rint(255 * np.clip(counts, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+    with av.open(str(tmp_path / "a.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=10, options={"crf": "10"})
+        stream.width, stream.height, stream.pix_fmt = 720, 480, "yuv420p"
+        container.mux(stream.encode(av.VideoFrame.from_ndarray(coded, format="rgb24")))
+        container.mux(stream.encode())
+    command = ("export", tmp_path / "a.mp4", tmp_path / "out", "--camera", sample_camera("still_life_cy_halves"))
+    result = run(*command, "--anyway")
+    assert result.returncode == 0, result.stderr
+    depth = cv2.imread(str(next((tmp_path / "out" / "depth").iterdir())), cv2.IMREAD_UNCHANGED)
+    assert depth.shape == (240, 360)
+    focal_px = float((tmp_path / "out" / "calibration.txt").read_text().split("\n")[1].split()[0])
+    camera = cap.load_camera(sample_camera("still_life_cy_halves")).calibration
+    assert focal_px == pytest.approx(camera.lens.camera_matrix[0, 0] / 2, rel=1e-3)
