@@ -363,6 +363,16 @@ def test_deep_clips_keep_their_bits(tmp_path):
     assert errors[0] < 0.9 * errors[1]
 
 
+def test_where_mjpeg_has_its_chroma_is_said(tmp_path):
+    planes = planes_of(ORANGE, (2, 1), "centre", full=True)
+    path = clip(tmp_path / "a.avi", "mjpeg", "yuvj422p", planes, full=True)
+    said = []
+    for siting in (None, "centre"):
+        with VideoSource(str(path), siting=siting, listener=said.append) as source:
+            list(source)
+    assert [event.kind for event in said] == ["siting"]
+
+
 def test_frames_have_their_own_times(tmp_path):
     planes = planes_of(GREY, (2, 2), "left")
     path = clip(tmp_path / "a.mkv", "ffv1", "yuv420p", planes, times=(0, 1, 2, 5, 9))

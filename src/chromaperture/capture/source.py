@@ -153,12 +153,12 @@ class Event:
 
     Attributes
     ----------
-    kind : {"lost", "reconnected", "size", "dark", "skipped", "turned"}
+    kind : {"lost", "reconnected", "size", "dark", "skipped", "turned", "siting"}
     message : str
         One line.
     """
 
-    kind: Literal["lost", "reconnected", "size", "dark", "skipped", "turned"]
+    kind: Literal["lost", "reconnected", "size", "dark", "skipped", "turned", "siting"]
     message: str
 
 

@@ -106,6 +106,14 @@ class VideoSource(FileSource):
                     said = f"{self.name} is to be turned by {form.turn_degrees} degrees for people; "
                     stay = "frames stay as the sensor delivers them, like the calibration"
                     self.listener(Event("turned", said + stay))
+                if (
+                    form.kind == "mjpeg"
+                    and form.reduction > 1
+                    and form.known_from.get("siting") == "default"
+                    and not index
+                ):
+                    left = "chroma of MJPEG is taken to lie left, as webcams write it"
+                    self.listener(Event("siting", f"{self.name}: {left}; of a still camera's clip say siting=centre"))
             counts, white = counts_of_frame(frame, form)
             encoding = choose_encoding(form.encoding(white), counts, **self.levels)
             stated_s = None if frame.time is None else float(frame.time)

@@ -153,6 +153,9 @@ def depth(
         where = None if out is None else str(as_path(out))
         made_by = recipe_for(camera, camera_of(paths[0]), out=where, again=again, **options)
         if len(paths) == 1:  # measured in any case, and no more is written than what was asked for
+            from chromaperture.capture.files import format_of
+
+            format_of(paths[0], settings["stated"])  # what cannot be read is refused before anything is compiled
             made_by = replace(made_by, again=True, outputs=chosen_outputs(write))
     if jobs > 1 and len(paths) > 1 and camera is not None:
         jobs = jobs_in_memory(camera_of(paths[0]), jobs)
