@@ -12,9 +12,8 @@ import pytest
 from PIL import Image
 
 from chromaperture import read_image
-from chromaperture.capture.deep_png import decode_rgb16
 from chromaperture.capture.files import decode, linearise, read_light
-from chromaperture.color.encoding import Encoding, develop_counts
+from chromaperture.color.encoding import Encoding
 from chromaperture.errors import InputError
 from chromaperture.png_encoding import encode_png
 from chromaperture.rows_on_demand import RowsOnDemand
@@ -48,23 +47,6 @@ def test_other_libraries_read_what_is_encoded(rng, shape, kind):
         np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(data))), picture)
 
 
-@pytest.mark.parametrize("shape", [(1, 1, 3), (65, 3, 3), (64, 40, 3), (200, 77, 3)])
-@pytest.mark.parametrize("name", FILTERS)
-def test_every_filter_is_undone(rng, shape, name):
-    counts = walk(rng, shape)
-    coded = cv2.imencode(".png", counts[..., ::-1], [cv2.IMWRITE_PNG_FILTER, FILTERS[name]])[1].tobytes()
-    np.testing.assert_array_equal(decode_rgb16(coded), counts)
-    np.testing.assert_array_equal(decode_rgb16(encode_png(counts)), counts)
-
-
-@pytest.mark.parametrize("levels", [(0.0, 65535.0), (512.0, 60_000.0)])
-def test_counts_become_light_as_they_are_decoded(rng, levels):
-    counts = walk(rng, (150, 40, 3))
-    found = decode_rgb16(encode_png(counts), levels)
-    assert found.dtype == np.float32
-    np.testing.assert_array_equal(found, develop_counts(counts, Encoding(*levels)))
-
-
 def test_a_cameras_levels_give_the_same_light_with_and_without_counts(rng, tmp_path):
     path, levels = tmp_path / "a.png", (512.0, 60_000.0)
     path.write_bytes(encode_png(walk(rng, (70, 50, 3))))
@@ -88,15 +70,6 @@ def test_without_isal_zlib_does_the_same(monkeypatch, rng):
     picture = rng.integers(0, 256, (300, 2000, 3)).astype(np.uint8)
     coded = encode_png(picture)
     np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(coded))), picture)
-    counts = walk(rng, (70, 50, 3))
-    np.testing.assert_array_equal(decode_rgb16(encode_png(counts)), counts)
-
-
-def test_other_kinds_are_left_to_others(rng):
-    assert decode_rgb16(encode_png(walk(rng, (4, 5)))) is None  # grey
-    assert decode_rgb16(encode_png(walk(rng, (4, 5, 3)).astype(np.uint8))) is None
-    alpha = cv2.imencode(".png", walk(rng, (4, 5, 4)))[1].tobytes()
-    assert decode_rgb16(alpha) is None
 
 
 def png_of(rows: bytes, width: int, height: int) -> bytes:

@@ -33,7 +33,6 @@ from chromaperture.errors import InputError
 if TYPE_CHECKING:
     import av.container
 
-DeepPng = Callable[[bytes], np.ndarray | None]  # of a 16-bit file; None where it is another kind of PNG
 Counts = tuple[np.ndarray, PictureFormat, Encoding]
 _ORIENTATION, _EXIF_IFD, _COLOR_SPACE, _INTEROP_IFD, _INTEROP_INDEX = 0x0112, 0x8769, 0xA001, 0xA005, 1
 TURNS = {3: 180, 6: 90, 8: 270}  # codes of EXIF's orientation, degrees clockwise; others are mirrored, or upright
@@ -89,10 +88,10 @@ def _mosaic(kind: str, size_px: tuple[int, int], bits: int, pattern: Pattern) ->
     return PictureFormat(kind, size_px, bits, (2, 2), space=SENSOR_LIGHT, mosaic=pattern, known_from=known)
 
 
-def counts_of_data(data: bytes, form: PictureFormat, name: str, stated: StatedFacts, deep_png: DeepPng) -> Counts:
+def counts_of_data(data: bytes, form: PictureFormat, name: str, stated: StatedFacts) -> Counts:
     """Return a file's counts, (H, W, S), what it is, and how they become light; raises as `format_of_data`.
 
-    The picture has the size `PictureFormat.read_size_px`. ``deep_png`` may return light in place of counts.
+    The picture has the size `PictureFormat.read_size_px`.
     """
     if form.kind == "HEIC":
         counts, form, white = read_heif(data, name, stated)
@@ -106,7 +105,7 @@ def counts_of_data(data: bytes, form: PictureFormat, name: str, stated: StatedFa
     if form.reduction > 1 and form.mosaic is None:
         counts, white = counts_of_frame(decode_packet(_CODECS[form.kind], data), form)
         return counts, form, form.encoding(white)
-    counts, white = samples_of_data(data, name, deep_png=deep_png), {8: 255.0, 16: 65535.0}.get(form.bits, 1.0)
+    counts, white = samples_of_data(data, name), {8: 255.0, 16: 65535.0}.get(form.bits, 1.0)
     if form.kind == "PNM" and form.bits == 16:
         white = float(_pnm_fields(data)[3])
     if form.mosaic is None:
@@ -118,7 +117,7 @@ def counts_of_data(data: bytes, form: PictureFormat, name: str, stated: StatedFa
 
 
 def samples_of_data(
-    data: bytes, name: str, *, check: Callable[[int, int], None] = lambda width, height: None, deep_png: DeepPng
+    data: bytes, name: str, *, check: Callable[[int, int], None] = lambda width, height: None
 ) -> np.ndarray:
     """Return the samples of a file that does not subsample chroma, in R, G, B order; raises as `format_of_data`."""
     if data.startswith(TIFF_MARKS):
@@ -136,8 +135,6 @@ def samples_of_data(
         return np.asarray(picture.convert("RGB") if picture.mode in ("P", "RGBA", "YCbCr") else picture)
     if data.startswith(b"P"):
         return _deep_pnm(data, picture)
-    if (found := deep_png(data)) is not None:
-        return found
     counts = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if counts is None:
         raise ValueError("a damaged PNG file")

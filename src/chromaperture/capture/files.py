@@ -8,7 +8,7 @@ the size of their chroma (`native_planes`); tagged colours are brought to linear
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -85,31 +85,10 @@ def read_light(
     camera_encoding: Encoding | None = None,
     stated: StatedFacts = NOTHING_STATED,
 ) -> Photograph:
-    """`decode`, then `linearise`; counts of large files of 16 bit are not kept where their levels are known before.
-
-    Parameters, errors and warnings are theirs.
-    """
-    path, levels = Path(path), {"black_level": black_level, "white_level": white_level}
-    light: list[np.ndarray] = []
-
-    def deep_png(data: bytes, own: Encoding) -> np.ndarray | None:
-        try:
-            counts = np.empty(0, np.uint16)
-            found = choose_encoding(own, counts, **levels, camera_encoding=camera_encoding)
-        except InputError:  # levels that make no sense, which `linearise` says
-            return _deep_png(data, own)
-        if not found.given or found.is_encoded or found.response is not None or found.to_srgb is not None:
-            return _deep_png(data, own)
-        image = _decode_rgb16(data, (found.black_level, found.white_level))
-        light.extend([] if image is None else [image])
-        return image
-
-    if camera_encoding is None or opens_as_raw(path):  # the counts may say that a white level is wrong
-        decoded = decode(path, size_px=size_px, any_scale=any_scale, stated=stated)
-    else:
-        decoded = _decode(path, size_px, any_scale, stated, deep_png)
-    image = light[0] if light else linearise(decoded, **levels, camera_encoding=camera_encoding)
-    return Photograph(image, decoded.form)
+    """`decode`, then `linearise`; parameters, errors and warnings are theirs."""
+    decoded = decode(path, size_px=size_px, any_scale=any_scale, stated=stated)
+    levels = {"black_level": black_level, "white_level": white_level}
+    return Photograph(linearise(decoded, **levels, camera_encoding=camera_encoding), decoded.form)
 
 
 def read_image(
@@ -262,7 +241,16 @@ def decode(
             size_px = form.read_size_px
         counts, own = read_raw(path, size_px=size_px)
         return Decoded(counts, own, form)
-    return _decode(path, size_px, any_scale, stated)
+    data = _read(path)
+    with _reported(path):
+        form = format_of_data(data, path.name, stated).with_stated(stated)
+        is_scaled = any_scale and size_px is not None and same_frame(size_px, form.read_size_px)
+        check_size(*form.read_size_px, path.name, None if is_scaled else size_px, file_bytes=len(data))
+        check_size(*form.size_px, path.name, None, file_bytes=len(data))
+        counts, form, own = counts_of_data(data, form, path.name, stated)
+        if counts.shape[1::-1] != form.read_size_px:
+            raise ValueError("another size than its header says")
+    return Decoded(_checked(counts, path), own, form.with_stated(stated), path.name)
 
 
 def read_samples(path: str | Path) -> np.ndarray:
@@ -281,9 +269,7 @@ def read_samples(path: str | Path) -> np.ndarray:
     path = Path(path)
     data = _read(path)
     with _reported(path):
-        return samples_of_data(
-            data, path.name, check=partial(check_size, name=path.name, size_px=None), deep_png=_decode_rgb16
-        )
+        return samples_of_data(data, path.name, check=partial(check_size, name=path.name, size_px=None))
 
 
 def _read(path: Path) -> bytes:
@@ -311,38 +297,6 @@ def _damaged(path: Path) -> str:
     return (
         f"{path.name} is damaged or not an image (PNG, TIFF, PPM, JPEG, BMP, WebP, AVIF or HEIC); copy the file again"
     )
-
-
-def _decode_rgb16(data: bytes, levels: tuple[float, float] | None = None) -> np.ndarray | None:
-    from chromaperture.capture.deep_png import decode_rgb16  # compiling starts here, not at import
-
-    return decode_rgb16(data, levels)
-
-
-def _deep_png(data: bytes, own: Encoding) -> np.ndarray | None:
-    return _decode_rgb16(data)
-
-
-def _decode(
-    path: Path,
-    size_px: tuple[int, int] | None,
-    any_scale: bool,
-    stated: StatedFacts,
-    deep_png: Callable[[bytes, Encoding], np.ndarray | None] = _deep_png,
-) -> Decoded:
-    """Decode to counts in the file's own depth, or what ``deep_png`` makes of them, and say what the file is."""
-    data = _read(path)
-
-    with _reported(path):
-        form = format_of_data(data, path.name, stated).with_stated(stated)
-        check_size(*form.size_px, path.name, None, file_bytes=len(data))
-        is_scaled = any_scale and size_px is not None and same_frame(size_px, form.read_size_px)
-        check_size(*form.read_size_px, path.name, None if is_scaled else size_px, file_bytes=len(data))
-        own = form.encoding(65535.0)
-        counts, form, own = counts_of_data(data, form, path.name, stated, lambda data: deep_png(data, own))
-        if counts.shape[1::-1] != form.read_size_px:
-            raise ValueError("another size than its header says")
-    return Decoded(_checked(counts, path), own, form.with_stated(stated), path.name)
 
 
 def _checked(counts: np.ndarray, path: Path) -> np.ndarray:
