@@ -416,6 +416,15 @@ def test_a_clip_that_is_to_be_turned_stays_as_the_sensor_delivered_it_and_says_s
         assert frame.metadata["photograph_format"]["turn_degrees"] in (90, 180)
 
 
+def test_a_clip_opens_no_other_file_and_a_name_with_a_colon_is_a_name(tmp_path, monkeypatch):
+    clip(tmp_path / "12:30.mp4", "libx264", "yuv420p", planes_of(ORANGE, (2, 2), "left"))
+    (tmp_path / "list.mp4").write_text("ffconcat version 1.0\nfile 12:30.mp4\n")
+    monkeypatch.chdir(tmp_path)
+    assert len(frames_of("12:30.mp4")) == 3
+    with pytest.raises(InputError, match="not a video"):
+        frames_of("list.mp4")
+
+
 def test_grey_and_odd_layouts_are_refused_in_one_line(tmp_path):
     with av.open(str(tmp_path / "grey.mkv"), "w") as container:
         stream = container.add_stream("ffv1", rate=10)
