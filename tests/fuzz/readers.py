@@ -13,7 +13,9 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+import av
 import numpy as np
+import pillow_heif
 import tifffile
 from PIL import Image
 
@@ -32,6 +34,7 @@ from chromaperture.optics.scene import load_scene
 from chromaperture.products.posed_sequence import read_trajectory
 from chromaperture.products.result_files import read_depth, read_result
 
+pillow_heif.register_heif_opener()
 DATA = Path(__file__).parents[1] / "data"
 CORPUS = Path(__file__).parent / "corpus"
 CONFIGS = (Config(), Config("paper", preset("paper")), Config("accurate", AccurateConfig.for_blur(0.4)))
@@ -70,7 +73,9 @@ def _pictures(*formats: str) -> Callable[[], list[bytes]]:
             elif name == "deep PPM":
                 memory.write(b"P6\n16 12\n65535\n" + deep.astype(">u2").tobytes())
             else:
-                Image.fromarray((deep // 4).astype(np.uint8)).save(memory, name, **_OPTIONS.get(name, {}))
+                kind, _, chroma = name.partition(" ")
+                options = {"quality": 95} if chroma else _OPTIONS.get(name, {})
+                Image.fromarray((deep // 4).astype(np.uint8)).save(memory, kind, **options)
             made.append(memory.getvalue())
         return made
 
@@ -78,6 +83,29 @@ def _pictures(*formats: str) -> Callable[[], list[bytes]]:
 
 
 _OPTIONS = {"JPEG": {"quality": 95, "subsampling": 0}, "WEBP": {"lossless": True}}
+
+
+def _clips() -> list[bytes]:
+    frame, made = av.VideoFrame.from_ndarray((_picture() // 4).astype(np.uint8), format="rgb24"), []
+    for kind, codec, layout in (
+        ("mp4", "libx264", "yuv420p"),
+        ("matroska", "ffv1", "yuv422p10le"),
+        ("avi", "mjpeg", "yuvj420p"),
+    ):
+        memory = io.BytesIO()
+        with av.open(memory, "w", format=kind) as clip:
+            stream = clip.add_stream(codec, rate=10)
+            stream.width, stream.height, stream.pix_fmt = frame.width, frame.height, layout
+            clip.mux(stream.encode(frame))
+            clip.mux(stream.encode())
+        made.append(memory.getvalue())
+    return made
+
+
+def _read_clip(path: Path) -> None:
+    with open_source(str(path), listener=lambda event: None) as source:
+        for frame in source:
+            assert frame.image.ndim == 3
 
 
 def _read_picture(path: Path) -> None:
@@ -151,6 +179,8 @@ READERS = {
         Reader("frame", "frames/00000000.tiff", _replay,
                _files(DATA / "recordings" / "format_2" / "frames" / "00000000.tiff"), False, _copy_recording),
         Reader("picture", "photo.png", _read_picture, _pictures("PNG", "JPEG", "BMP", "WEBP", "PPM", "deep PPM")),
+        Reader("chroma", "photo.jpg", _read_picture, _pictures("JPEG 4:2:0", "WEBP 4:2:0", "AVIF 4:2:0", "HEIF 4:2:0")),
+        Reader("clip", "clip.mp4", _read_clip, _clips),
         Reader("map", "photo.depth.tiff", read_depth, lambda: _maps("tiff")),
         Reader("array", "map.npy", read_depth, lambda: _maps("npy")),
         Reader("points", "points.ply", read_result, _points),
