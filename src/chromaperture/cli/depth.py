@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -100,8 +100,8 @@ def depth(
 
     chromaperture depth archive/ --camera camera.asdf --cluster tcp://10.0.0.1:8786 --out s3://bucket/depth
     """
-    from chromaperture.cli.console import compile_kernels
-    from chromaperture.frame.frame_files import chosen_outputs
+    from chromaperture.capture.files import format_of
+    from chromaperture.color.encoding import StatedFacts
     from chromaperture.products.archive_store import as_path, find_photographs, is_url, names_in_list
     from chromaperture.shots import VIDEOS
 
@@ -117,15 +117,19 @@ def depth(
         raise InputError(
             f"{clip} is a video; measure its frames with: chromaperture export {clip} OUT --camera {camera or 'CAM'}"
         )
+    stated = StatedFacts(*cast(Any, (siting, primaries, mosaic)))
+    if len(names) == 1 and cluster is None:  # what cannot be read is refused before anything else is loaded
+        format_of(as_path(names[0]), stated)
+    from chromaperture.cli.console import compile_kernels
+    from chromaperture.frame.frame_files import chosen_outputs
+
     refuse_common_results(names, out)
     chosen_outputs(write, is_calibrated=camera is not None)  # before the work
     if device not in ("auto", "cpu") and (cluster is not None or jobs > 1):
         raise InputError("--cluster and --jobs measure on CPUs: leave --device out, or measure one at a time")
-    from chromaperture.cli.setup import stated_facts
-
     settings: dict[str, Any] = {
         "quality": quality, "config": config, "scale": working_scale(scale), "crop_origin_px": crop_from(crop_origin),
-        "device": device, "stated": stated_facts(siting, primaries, mosaic),
+        "device": device, "stated": stated,
     }  # fmt: skip
     options: dict[str, Any] = {
         "write": write, "black_level": black_level, "white_level": white_level,
@@ -153,9 +157,6 @@ def depth(
         where = None if out is None else str(as_path(out))
         made_by = recipe_for(camera, camera_of(paths[0]), out=where, again=again, **options)
         if len(paths) == 1:  # measured in any case, and no more is written than what was asked for
-            from chromaperture.capture.files import format_of
-
-            format_of(paths[0], settings["stated"])  # what cannot be read is refused before anything is compiled
             made_by = replace(made_by, again=True, outputs=chosen_outputs(write))
     if jobs > 1 and len(paths) > 1 and camera is not None:
         jobs = jobs_in_memory(camera_of(paths[0]), jobs)

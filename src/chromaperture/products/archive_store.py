@@ -12,7 +12,6 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from chromaperture.errors import ChromapertureError, InputError, MissingDependencyError
-from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.shots import counted, one_of_each
 
 # Stores where an object appears whole when its upload ends, so that it needs no temporary name.
@@ -105,6 +104,8 @@ def names_in_list(path: Path) -> list[str]:
 
 
 def _is_result(name: str) -> bool:
+    from chromaperture.frame.frame_files import OUTPUTS  # loads what measures, which a name that is given does not need
+
     return name.endswith(tuple(output.suffix for output in OUTPUTS.values()))
 
 
