@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, Literal, get_args
 
 import cv2
@@ -143,8 +144,7 @@ def _light(counts: np.ndarray, encoding: Encoding) -> np.ndarray:
 
     each_band(convert, len(image))
     if encoding.is_encoded and image.size > _LEVELS:  # a power takes ten times as long as a table
-        table = to_linear(np.arange(_LEVELS, dtype=np.float32) / (_LEVELS - 1), transfer)
-        each_band(lambda rows: _look_up(image[rows], table, transfer), len(image))
+        each_band(lambda rows: _look_up(image[rows], _table(transfer), transfer), len(image))
     elif encoding.is_encoded:
         image = to_linear(image, transfer)
     return image if encoding.response is None else encoding.response.light(image)
@@ -152,12 +152,20 @@ def _light(counts: np.ndarray, encoding: Encoding) -> np.ndarray:
 
 def _look_up(values: np.ndarray, table: np.ndarray, transfer: Transfer) -> None:
     """Decode values in place: those in [0, 1] by the entry of a table that is nearest, the few others one by one."""
-    outside = (values < 0) | (values > 1)
-    others = values[outside]
+    is_inside = values.min() >= 0 and values.max() <= 1
+    outside = None if is_inside else (values < 0) | (values > 1)
+    others = None if outside is None else values[outside]
     scaled = values * np.float32(len(table) - 1)
     scaled += np.float32(0.5)
-    np.take(table, np.clip(scaled, 0, len(table) - 1).astype(np.int32), out=values, mode="clip")
-    values[outside] = to_linear(others, transfer)
+    np.take(table, scaled.astype(np.int32), out=values, mode="clip")
+    if outside is not None and others is not None:
+        values[outside] = to_linear(others, transfer)
+
+
+@lru_cache(maxsize=4)
+def _table(transfer: Transfer) -> np.ndarray:
+    """Return the light of `_LEVELS` values from 0 to 1; float32."""
+    return to_linear(np.arange(_LEVELS, dtype=np.float32) / (_LEVELS - 1), transfer)
 
 
 def _cubic(t: float) -> np.ndarray:
