@@ -177,6 +177,8 @@ def test_displacements_are_kept(tmp_path, name):
 
 
 def test_a_heic_file_of_tiles_that_is_to_be_turned_stays_as_the_sensor_delivered_it(tmp_path, monkeypatch):
+    if not hasattr(pillow_heif.options, "GRID_TILE_SIZE"):
+        pytest.skip("this version of pillow-heif writes no tiles")
     monkeypatch.setattr(pillow_heif.options, "GRID_TILE_SIZE", 128)
     exif = Image.Exif()
     exif[0x0112] = 6  # "turn by 90 degrees clockwise", as a phone that is held upright

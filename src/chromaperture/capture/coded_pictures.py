@@ -174,7 +174,9 @@ def _space_of(picture: Image.Image, data: bytes) -> ColorSpace:
     if profile := picture.info.get("icc_profile"):
         return of_icc(profile)
     exif = _exif(picture)  # most cameras state Adobe RGB here, and write no profile
-    color_space, index = exif.get_ifd(_EXIF_IFD).get(_COLOR_SPACE), exif.get_ifd(_INTEROP_IFD).get(_INTEROP_INDEX)
+    color_space, index = exif.get_ifd(_EXIF_IFD).get(_COLOR_SPACE), None
+    with contextlib.suppress(KeyError):  # Pillow's, before version 12, where there is none
+        index = exif.get_ifd(_INTEROP_IFD).get(_INTEROP_INDEX)
     return of_exif(color_space, index) or UNTAGGED
 
 
