@@ -46,7 +46,7 @@ def superpixels(
     return counts, Encoding(2 * black_level, 2 * white_level, "linear", placed)
 
 
-def quad(name: str) -> str:
+def quad_message(name: str) -> str:
     """Return what to say of a mosaic of 2 x 2 photosites a colour."""
     return (
         f"{name} is a Quad-Bayer mosaic, of 2 x 2 photosites a colour: set the camera or phone to binned RAW (12 MP "
@@ -64,4 +64,4 @@ def check_not_quad(mosaic: np.ndarray, name: str, *, black_level: float) -> None
     sites = sites.reshape(2, 2, 2, 2) - black_level
     of_cells, of_sites = sites.mean((1, 3)).std(), sites.mean((0, 2)).std()
     if of_cells > max(_LEAST_OF_CELLS * sites.mean(), _TIMES_OF_SITES * of_sites):
-        raise InputError(quad(name))
+        raise InputError(quad_message(name))

@@ -15,7 +15,7 @@ from PIL import Image, JpegImagePlugin
 
 from chromaperture.capture.bayer import check_not_quad, superpixels
 from chromaperture.capture.heif import heif_format, is_heif, read_heif, stored_turn
-from chromaperture.capture.picture_format import LUMA_WEIGHTS, SENSOR_LIGHT, KnownFrom, PictureFormat
+from chromaperture.capture.picture_format import LUMA_WEIGHTS, SENSOR_LIGHT, KnownFrom, PictureFormat, known_from_tags
 from chromaperture.capture.picture_header import (
     PNG_MARK,
     TIFF_MARKS,
@@ -24,7 +24,7 @@ from chromaperture.capture.picture_header import (
     open_picture,
     other_kind,
 )
-from chromaperture.capture.tiff import decode_tiff, tiff_header
+from chromaperture.capture.tiff import decode_tiff, no_check, tiff_header
 from chromaperture.color.color_space import UNTAGGED, ColorSpace
 from chromaperture.color.color_tags import of_exif, of_icc, of_png
 from chromaperture.color.encoding import Encoding, Pattern, StatedFacts
@@ -33,9 +33,8 @@ from chromaperture.errors import InputError
 if TYPE_CHECKING:
     import av.container
 
-Counts = tuple[np.ndarray, PictureFormat, Encoding]
 _ORIENTATION, _EXIF_IFD, _COLOR_SPACE, _INTEROP_IFD, _INTEROP_INDEX = 0x0112, 0x8769, 0xA001, 0xA005, 1
-TURNS = {3: 180, 6: 90, 8: 270}  # codes of EXIF's orientation, degrees clockwise; others are mirrored, or upright
+_TURNS = {3: 180, 6: 90, 8: 270}  # codes of EXIF's orientation, degrees clockwise; others are mirrored, or upright
 _JPEG_END = b"\xff\xd9"  # a marker, which coded data do not hold
 _LEAST_TAIL = bytes(4096)  # that no encoder writes: what a broken copy leaves
 _CODECS = {"JPEG": "mjpeg", "WebP": "webp"}
@@ -55,19 +54,15 @@ def format_of_data(data: bytes, name: str, stated: StatedFacts) -> PictureFormat
     if getattr(picture, "n_frames", 1) > 1 and picture.format != "MPO":
         raise InputError(f"{name} holds {picture.n_frames} pictures; give one photograph a file")  # type: ignore[attr-defined]
     if picture.format == "AVIF":
-        with _avif(data, name, stated) as (_, form):
-            return form
+        return _avif_format(data, name, stated)
     if stated.mosaic is not None and picture.mode.startswith(("L", "I", "F")):
         return _mosaic(kind_of(picture), picture.size, 16 if _is_deep(data) else 8, stated.mosaic)
     factors = _factors(picture, data)
     space = _space_of(picture, data)
-    known: dict[str, KnownFrom] = {
-        "transfer": "default" if space.transfer is None else "tag",
-        "primaries": "default" if space.primaries is None else "tag",
-    }
+    known = known_from_tags(space)
     if factors != (1, 1):
         known["siting"] = "default" if stated.siting is None else "option"
-    turn = TURNS.get(_exif(picture).get(_ORIENTATION, 1), 0)
+    turn = _TURNS.get(_exif(picture).get(_ORIENTATION, 1), 0)
     kind = kind_of(picture)
     return PictureFormat(
         kind, picture.size, 16 if _is_deep(data) else 8, factors, stated.siting or "centre",
@@ -88,37 +83,35 @@ def _mosaic(kind: str, size_px: tuple[int, int], bits: int, pattern: Pattern) ->
     return PictureFormat(kind, size_px, bits, (2, 2), space=SENSOR_LIGHT, mosaic=pattern, known_from=known)
 
 
-def counts_of_data(data: bytes, form: PictureFormat, name: str, stated: StatedFacts) -> Counts:
-    """Return a file's counts, (H, W, S), what it is, and how they become light; raises as `format_of_data`.
+def counts_of_data(data: bytes, form: PictureFormat, name: str) -> tuple[np.ndarray, Encoding]:
+    """Return a file's counts, (H, W, S), and how they become light; raises as `format_of_data`.
 
     The picture has the size `PictureFormat.read_size_px`.
     """
     if form.kind == "HEIC":
-        counts, form, white = read_heif(data, name, stated)
-        return counts, form, form.with_stated(stated).encoding(white)
+        counts, white = read_heif(data, form, name)
+        return counts, form.encoding(white)
     if form.kind == "AVIF" or (form.reduction > 1 and form.mosaic is None):
         from chromaperture.capture.decoded_frame import counts_of_frame, decode_packet  # FFmpeg takes 0.1 s to load
-    if form.kind == "AVIF":
-        with _avif(data, name, stated) as (file, form):
-            counts, white = counts_of_frame(next(file.decode(video=0)), form)
-        return counts, form, form.with_stated(stated).encoding(white)
-    if form.reduction > 1 and form.mosaic is None:
-        counts, white = counts_of_frame(decode_packet(_CODECS[form.kind], data), form)
-        return counts, form, form.encoding(white)
+
+        if form.kind == "AVIF":
+            with _opened_avif(data) as file:
+                counts, white = counts_of_frame(next(file.decode(video=0)), form)
+        else:
+            counts, white = counts_of_frame(decode_packet(_CODECS[form.kind], data), form)
+        return counts, form.encoding(white)
     counts, white = samples_of_data(data, name), {8: 255.0, 16: 65535.0}.get(form.bits, 1.0)
     if form.kind == "PNM" and form.bits == 16:
         white = float(_pnm_fields(data)[3])
     if form.mosaic is None:
-        return counts, form, form.encoding(white)
+        return counts, form.encoding(white)
     sites = counts if counts.ndim == 2 else counts[..., 0]
     check_not_quad(sites, name, black_level=0.0)
     cells, own = superpixels(sites, form.mosaic, black_level=0.0, white_level=white)
-    return cells, form, replace(own, given=False)
+    return cells, replace(own, given=False)
 
 
-def samples_of_data(
-    data: bytes, name: str, *, check: Callable[[int, int], None] = lambda width, height: None
-) -> np.ndarray:
+def samples_of_data(data: bytes, name: str, *, check: Callable[[int, int], None] = no_check) -> np.ndarray:
     """Return the samples of a file that does not subsample chroma, in R, G, B order; raises as `format_of_data`."""
     if data.startswith(TIFF_MARKS):
         return decode_tiff(data, name, check=check)
@@ -151,7 +144,7 @@ def _factors(picture: Image.Image, data: bytes) -> tuple[int, int]:
     if not isinstance(picture, JpegImagePlugin.JpegImageFile):
         return 1, 1
     if len(picture.layer) == 4:
-        raise InputError("is in colours for printing (CMYK); export it as RGB")
+        raise InputError("it is in colours for printing (CMYK); export it as RGB")
     sides = [(across, down) for _, across, down, _ in picture.layer]
     return (max(sides)[0] // min(sides)[0], max(s[1] for s in sides) // min(s[1] for s in sides))
 
@@ -194,37 +187,35 @@ def _tiff_format(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
     if stated.mosaic is not None and header.samples == 1:
         return _mosaic("TIFF", header.size_px, header.bits, stated.mosaic)
     space = UNTAGGED if header.profile is None else of_icc(header.profile)
-    known: dict[str, KnownFrom] = {
-        fact: "default" if header.profile is None else "tag" for fact in ("transfer", "primaries")
-    }
     return PictureFormat(
-        "TIFF",
-        header.size_px,
-        header.bits,
-        space=space,
-        turn_degrees=TURNS.get(header.orientation, 0),
-        known_from=known,
-    )
+        "TIFF", header.size_px, header.bits, space=space, turn_degrees=_TURNS.get(header.orientation, 0),
+        known_from=known_from_tags(space),
+    )  # fmt: skip
 
 
-@contextlib.contextmanager
-def _avif(data: bytes, name: str, stated: StatedFacts) -> Iterator[tuple[av.container.InputContainer, PictureFormat]]:
-    """Open an AVIF file with FFmpeg; its size is Pillow's, for FFmpeg takes a picture made of tiles for the first."""
-    import av
-
+def _avif_format(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
+    """Return what an AVIF file is; its size is Pillow's, for FFmpeg takes a picture made of tiles for the first."""
     from chromaperture.capture.decoded_frame import format_of_frame
 
     picture = open_picture(data)
     check_size(*picture.size, name, None)
     profile = picture.info.get("icc_profile")
-    with av.open(io.BytesIO(data), "r", format="mov") as file:
+    with _opened_avif(data) as file:
         context = file.streams.video[0].codec_context
-        context.options = {"err_detect": "explode"}
         if (context.width, context.height) != picture.size:
             raise InputError(f"{name} is an AVIF picture made of tiles, which is not read; export it as PNG")
         space = of_icc(profile) if profile else None
         turn = stored_turn(data, name)
-        yield file, format_of_frame(context, "AVIF", siting="centre", stated=stated, space=space, turn_degrees=turn)
+        return format_of_frame(context, "AVIF", siting="centre", stated=stated, space=space, turn_degrees=turn)
+
+
+@contextlib.contextmanager
+def _opened_avif(data: bytes) -> Iterator[av.container.InputContainer]:
+    import av
+
+    with av.open(io.BytesIO(data), "r", format="mov") as file:
+        file.streams.video[0].codec_context.options = {"err_detect": "explode"}
+        yield file
 
 
 def _is_deep(data: bytes) -> bool:

@@ -13,7 +13,7 @@ import av.logging
 import numpy as np
 
 from chromaperture.capture.native_planes import ENCODED_WHITE, Planes, rgb_of_planes
-from chromaperture.capture.picture_format import LUMA_WEIGHTS, KnownFrom, PictureFormat
+from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat, known_from_tags
 from chromaperture.color.color_space import ColorSpace, of_codes
 from chromaperture.color.encoding import NOTHING_STATED, Siting, StatedFacts
 from chromaperture.errors import InputError
@@ -80,10 +80,7 @@ def format_of_frame(
     if len(layout.components) < 3 or layout.has_palette:
         raise InputError(f"its frames are {layout.name}: depth is in the colours, so choose a colour format")
     space = of_codes(int(source.color_primaries), int(source.color_trc)) if space is None else space
-    known: dict[str, KnownFrom] = {
-        "transfer": "default" if space.transfer is None else "tag",
-        "primaries": "default" if space.primaries is None else "tag",
-    }
+    known = known_from_tags(space)
     size = source.width, source.height
     if layout.is_rgb:
         return PictureFormat(kind, size, bits, space=space, turn_degrees=turn_degrees, known_from=known)

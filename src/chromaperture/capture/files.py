@@ -247,10 +247,10 @@ def decode(
         is_scaled = any_scale and size_px is not None and same_frame(size_px, form.read_size_px)
         check_size(*form.read_size_px, path.name, None if is_scaled else size_px, file_bytes=len(data))
         check_size(*form.size_px, path.name, None, file_bytes=len(data))
-        counts, form, own = counts_of_data(data, form, path.name, stated)
+        counts, own = counts_of_data(data, form, path.name)
         if counts.shape[1::-1] != form.read_size_px:
             raise ValueError("another size than its header says")
-    return Decoded(_checked(counts, path), own, form.with_stated(stated), path.name)
+    return Decoded(_checked(counts, path), own, form, path.name)
 
 
 def read_samples(path: str | Path) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.capture.native_planes import ENCODED_WHITE, Planes, rgb_of_planes
-from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat
+from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat, known_from_tags
 from chromaperture.capture.picture_header import brands
 from chromaperture.color.color_space import UNTAGGED, of_codes
 from chromaperture.color.color_tags import of_icc
@@ -27,11 +27,6 @@ def is_heif(data: bytes) -> bool:
     return not {b"heic", b"heix", b"heim", b"heis", b"hevc"}.isdisjoint(brands(data))
 
 
-def heif_format(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
-    """Return what a file is by its header; raises as `read_heif`."""
-    return _opened(data, name, stated)[1]
-
-
 def stored_turn(data: bytes, name: str) -> int:
     """Return by how many degrees, clockwise, a file's picture is to be turned; raises InputError where mirrored."""
     if _MIRROR.search(data, 0, _MOST_META_BYTES):
@@ -42,40 +37,39 @@ def stored_turn(data: bytes, name: str) -> int:
     return -90 * turns.pop() % 360
 
 
-def read_heif(data: bytes, name: str, stated: StatedFacts) -> tuple[np.ndarray, PictureFormat, float]:
+def read_heif(data: bytes, form: PictureFormat, name: str) -> tuple[np.ndarray, float]:
     """Read a file's primary picture as stored, its turn taken back.
 
     Parameters
     ----------
     data : bytes
+    form : PictureFormat
+        See `heif_format`.
     name : str
         Of the file, for messages.
-    stated : StatedFacts
 
     Returns
     -------
     counts : (h, w, 3) uint8, uint16 or float32
-    form : PictureFormat
     white : float
         Highest count.
 
     Raises
     ------
     InputError
-        Damaged, grey, mirrored or tagged with a colour space that is not read.
-    MissingDependencyError
-        pillow-heif is not installed.
+        Damaged.
     """
-    picture, form = _opened(data, name, stated)
     try:
-        rgb = np.asarray(picture)[..., :3]
+        rgb = np.asarray(_opened(data, name))[..., :3]
+    except InputError:
+        raise
     except Exception as error:  # libheif's errors come as several kinds
         raise InputError(f"{name} is damaged ({_one_line(error)}); copy the file again") from None
     rgb = np.rot90(rgb, form.turn_degrees // 90)
     if rgb.dtype == np.uint16:
         rgb = rgb >> (16 - form.bits)
     if form.reduction == 1:
-        return np.ascontiguousarray(rgb), form, float((1 << form.bits) - 1)
+        return np.ascontiguousarray(rgb), float((1 << form.bits) - 1)
     light = rgb.astype(np.float32) * np.float32(ENCODED_WHITE / ((1 << form.bits) - 1))
     red, blue = form.luma_weights or LUMA_WEIGHTS[2]
     luma = light @ np.array([red, 1 - red - blue, blue], np.float32)
@@ -83,7 +77,7 @@ def read_heif(data: bytes, name: str, stated: StatedFacts) -> tuple[np.ndarray, 
     wide = _of_cells(light[..., 2] - luma, form), _of_cells(light[..., 0] - luma, form)
     chroma = (part / np.float32(2 * (1 - weight)) + 128 for part, weight in zip(wide, (blue, red), strict=True))
     whole = PictureFormat("", form.size_px, 8, form.chroma_factors, form.siting, form.luma_weights)
-    return rgb_of_planes(Planes(luma, *chroma), whole), form, ENCODED_WHITE
+    return rgb_of_planes(Planes(luma, *chroma), whole), ENCODED_WHITE
 
 
 def _of_cells(values: np.ndarray, form: PictureFormat) -> np.ndarray:
@@ -98,16 +92,29 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-def _opened(data: bytes, name: str, stated: StatedFacts) -> tuple[Any, PictureFormat]:
+def _opened(data: bytes, name: str) -> Any:
     try:
         import pillow_heif
     except ImportError:
         raise MissingDependencyError(f"{name} is a HEIC file; to read it: pip install pillow-heif") from None
     try:
-        picture = pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=False)
-        info, (width, height) = picture.info, picture.size
+        return pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=False)
     except Exception as error:
         raise InputError(f"{name} is damaged or not a HEIC file ({_one_line(error)}); copy the file again") from None
+
+
+def heif_format(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
+    """Return what a file is by its header.
+
+    Raises
+    ------
+    InputError
+        Damaged, grey, mirrored or tagged with a colour space that is not read.
+    MissingDependencyError
+        pillow-heif is not installed.
+    """
+    picture = _opened(data, name)
+    info, (width, height) = picture.info, picture.size
     if not picture.mode.startswith("RGB"):
         raise InputError(f"{name} is a grey picture; the depth is in the colours, so give the colour original")
     turn = stored_turn(data, name)
@@ -120,20 +127,11 @@ def _opened(data: bytes, name: str, stated: StatedFacts) -> tuple[Any, PictureFo
     space = of_icc(profile) if profile else UNTAGGED
     if not profile and codes:
         space = of_codes(codes["color_primaries"], codes["transfer_characteristics"])
-    form = PictureFormat(
-        "HEIC",
-        (height, width) if turn % 180 else (width, height),
-        int(info.get("bit_depth", 8)),
-        _CHROMA.get(info.get("chroma", 420), (2, 2)),
-        stated.siting or "centre",
-        LUMA_WEIGHTS[matrix],
-        True,  # as libheif hands it out
-        space,
-        turn_degrees=turn,
-        known_from={
-            "transfer": "default" if space.transfer is None else "tag",
-            "primaries": "default" if space.primaries is None else "tag",
-            "siting": "option" if stated.siting else "default",
-        },
-    )
-    return picture, form
+    known = known_from_tags(space)
+    known["siting"] = "option" if stated.siting else "default"
+    size = (height, width) if turn % 180 else (width, height)
+    factors, bits = _CHROMA.get(info.get("chroma", 420), (2, 2)), int(info.get("bit_depth", 8))
+    return PictureFormat(  # libheif hands out the full range
+        "HEIC", size, bits, factors, stated.siting or "centre", LUMA_WEIGHTS[matrix], True, space, turn_degrees=turn,
+        known_from=known,
+    )  # fmt: skip

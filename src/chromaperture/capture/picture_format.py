@@ -133,6 +133,12 @@ class PictureFormat:
         return {name: value for name, value in facts.items() if value is not None}
 
 
+def known_from_tags(space: ColorSpace) -> dict[str, KnownFrom]:
+    """Return where the facts of a colour space are known from."""
+    facts = {"transfer": space.transfer, "primaries": space.primaries}
+    return {name: "default" if fact is None else "tag" for name, fact in facts.items()}
+
+
 def reduced_sides(size_px: tuple[int, int], factor: int) -> tuple[int, int]:
     """Return width and height, px, of a picture of one pixel a chroma sample: a part of a sample has one, too."""
     return -(-size_px[0] // factor), -(-size_px[1] // factor)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.capture.bayer import check_not_quad, quad, superpixels
+from chromaperture.capture.bayer import check_not_quad, quad_message, superpixels
 from chromaperture.capture.picture_format import SENSOR_LIGHT, PictureFormat
 from chromaperture.capture.picture_header import check_size
 from chromaperture.capture.raw_container import black_of_cells, check_complete, check_kind, developed
@@ -54,7 +54,7 @@ def read_raw(path: Path, *, size_px: tuple[int, int] | None = None) -> tuple[np.
         names, white = raw.color_desc.decode(), _white_level(raw)
     pattern = "".join(names[i] for i in layout.ravel())
     if pattern not in PATTERNS and set(pattern) <= set("RGB"):  # LibRaw folds the 4 x 4 pattern of a DNG
-        raise InputError(quad(path.name))
+        raise InputError(quad_message(path.name))
     if np.ptp(black) > 0:
         mosaic = _with_one_black(mosaic, black)
     check_not_quad(mosaic, path.name, black_level=float(black.mean()))
