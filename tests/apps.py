@@ -10,12 +10,20 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
+import pytest
 
 from chromaperture.app.workbench import Workbench
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.viewer.access import Access
 
+BROWSER_TESTS = [  # marks of a file whose tests need the app's server and a Chromium of the system
+    pytest.mark.extra("serve", "starlette"),
+    pytest.mark.extra("browser", "playwright"),
+    pytest.mark.skipif(shutil.which("chromium") is None, reason="Chromium is not installed: the page is NOT tested"),
+    pytest.mark.slow,
+]
 TOKEN = "a-token-that-only-the-tests-know"
 PHONE, DESKTOP = {"width": 360, "height": 740}, {"width": 1280, "height": 860}
 _FLAGS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
@@ -132,6 +140,14 @@ def chromium(driver: Any, *, camera: Path | None = None, flags: tuple[str, ...] 
         yield browser
     finally:
         browser.close()
+
+
+@contextlib.contextmanager
+def chromium_with(driver: Any, folder: Path, linear: np.ndarray) -> Iterator[Any]:
+    """A browser whose camera plays a picture at twice its size: what 4:2:0 loses is averaged away."""
+    write_y4m(folder / "scene.y4m", cv2.resize(linear, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST))
+    with chromium(driver, camera=folder / "scene.y4m") as started:
+        yield started
 
 
 REC_601, REC_709 = (0.299, 0.587, 0.114), (0.2126, 0.7152, 0.0722)  # shares of R, G, B in luma

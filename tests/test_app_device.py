@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import re
-import shutil
 from dataclasses import replace
 
 import cv2
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from apps import DESKTOP, PHONE, REC_709, WEBGPU, chromium, pages, served, write_y4m
+from apps import BROWSER_TESTS, DESKTOP, PHONE, REC_709, WEBGPU, chromium, pages, served, write_y4m
 from chromaperture.app.device_plan import light_of_counts
 from chromaperture.camera import CodedApertureCamera
 from chromaperture.camera_file import Calibration
@@ -22,12 +21,7 @@ from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.depth.error_limit import within_error
 from chromaperture.products.samples import open_sample, sample_camera
 
-pytestmark = [
-    pytest.mark.extra("serve", "starlette"),
-    pytest.mark.extra("browser", "playwright"),
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="Chromium is not installed: the page is NOT tested"),
-    pytest.mark.slow,
-]
+pytestmark = BROWSER_TESTS
 NAME = "still_life_cy_halves"
 WIDTH, HEIGHT = 360, 240  # half the sample's: a rasteriser in software takes a second for it
 PLACES = ((0.25, 0.6), (0.62, 0.6), (0.8, 0.55))  # on the books of the sample, fractions of the frame

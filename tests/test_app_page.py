@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import io
 import re
-import shutil
 import zipfile
 
 import cv2
 import numpy as np
 import pytest
 
-from apps import DESKTOP, FACTS, PHONE, chromium, pages, served, write_y4m
+from apps import BROWSER_TESTS, DESKTOP, FACTS, PHONE, chromium, chromium_with, pages, served
 from chromaperture.app.notes import heard
 from chromaperture.camera_file import Calibration
 from chromaperture.capture.files import Decoded, linearise
@@ -19,12 +18,7 @@ from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.products.samples import open_sample, sample_camera, sample_image
 
-pytestmark = [
-    pytest.mark.extra("serve", "starlette"),
-    pytest.mark.extra("browser", "playwright"),
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="Chromium is not installed: the page is NOT tested"),
-    pytest.mark.slow,
-]
+pytestmark = BROWSER_TESTS
 NAME = "still_life_cy_halves"
 PLACES = ((0.25, 0.6), (0.62, 0.6), (0.8, 0.55))  # on the books of the sample, fractions of the frame
 
@@ -55,11 +49,7 @@ def app(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def browser(driver, tmp_path_factory):
-    """A Chromium whose camera plays the sample at twice its size: what 4:2:0 loses is averaged away."""
-    scene = tmp_path_factory.mktemp("camera") / "scene.y4m"
-    _, image = open_sample(NAME)
-    write_y4m(scene, cv2.resize(image, None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST))
-    with chromium(driver, camera=scene) as started:
+    with chromium_with(driver, tmp_path_factory.mktemp("camera"), open_sample(NAME)[1]) as started:
         yield started
 
 

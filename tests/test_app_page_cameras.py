@@ -11,18 +11,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from apps import DESKTOP, FACTS, PHONE, chromium, served
+from apps import BROWSER_TESTS, DESKTOP, FACTS, PHONE, chromium, served
 from chromaperture.app.camera_feed import CameraFeed
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.products.samples import open_sample, sample_camera, sample_image
 from test_app_page import FAULTS, begin, says
 
-pytestmark = [
-    pytest.mark.extra("serve", "starlette"),
-    pytest.mark.extra("browser", "playwright"),
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="Chromium is not installed: the page is NOT tested"),
-    pytest.mark.slow,
-]
+pytestmark = BROWSER_TESTS
 NAME = "still_life_cy_halves"
 ENCODED = {key: value for key, value in FACTS.items() if "level" not in key}
 
@@ -183,5 +178,3 @@ def test_a_photograph_is_saved_with_its_depth_inside(browser, tmp_path):
     assert near == pytest.approx(float(known.min()) - delta, rel=1e-4)
     assert far == pytest.approx(float(known.max()) - delta, rel=1e-4)
     assert base64.b64encode(b"\x89PNG")[:4] in data
-
-

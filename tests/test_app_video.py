@@ -4,25 +4,18 @@ from __future__ import annotations
 
 import base64
 import json
-import shutil
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
-from apps import FACTS, PHONE, chromium, pages, planes_of, served, write_y4m
+from apps import BROWSER_TESTS, FACTS, PHONE, chromium_with, pages, planes_of, served
 from chromaperture.camera_file import Calibration
 from chromaperture.camera_scale import resized
 from chromaperture.products.samples import open_sample, sample_camera
 from test_app_page import begin, says
 
-pytestmark = [
-    pytest.mark.extra("serve", "starlette"),
-    pytest.mark.extra("browser", "playwright"),
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="Chromium is not installed: the page is NOT tested"),
-    pytest.mark.slow,
-]
+pytestmark = BROWSER_TESTS
 NAME = "still_life_cy_halves"
 WIDTH, HEIGHT = 256, 192
 COLOUR = (0.8, 0.4, 0.2)
@@ -85,9 +78,7 @@ def app(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def browser(driver, tmp_path_factory):
-    scene = tmp_path_factory.mktemp("camera") / "scene.y4m"
-    write_y4m(scene, cv2.resize(open_sample(NAME)[1], None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST))
-    with chromium(driver, camera=scene) as started:
+    with chromium_with(driver, tmp_path_factory.mktemp("camera"), open_sample(NAME)[1]) as started:
         yield started
 
 
