@@ -30,15 +30,16 @@ from timing import fastest_ms
 from chromaperture.calibration import read_boards
 from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.calibration_config import CalibrationConfig
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
-from chromaperture.config import AccurateConfig, MatcherConfig, PaperConfig, RealTimeConfig
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
 from chromaperture.depth.field import DepthField
-from chromaperture.disparity import accurate, block_surface
-from chromaperture.disparity.labels import IDENTITY
-from chromaperture.disparity.real_time import RealTimeMethod
-from chromaperture.stage_config import (
+from chromaperture.matching import accurate
+from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.planes import block_surface
+from chromaperture.matching.real_time import RealTimeMethod
+from chromaperture.model.camera_file import Calibration
+from chromaperture.settings.methods import AccurateConfig, MatcherConfig, PaperConfig, RealTimeConfig
+from chromaperture.settings.stages import (
     BilateralConfig,
     CorrelationConfig,
     CrossFilterConfig,

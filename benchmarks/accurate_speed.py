@@ -16,11 +16,11 @@ import cv2
 import numpy as np
 from timing import fastest_ms
 
-from chromaperture.disparity.accurate import AccurateMethod, explained_surface, path_surface
-from chromaperture.disparity.block_surface import depth_edges_of
-from chromaperture.disparity.views import filtered_views
+from chromaperture.matching.accurate import AccurateMethod, explained_surface, path_surface
+from chromaperture.matching.planes.block_surface import depth_edges_of
+from chromaperture.matching.views import filtered_views
 from chromaperture.products.samples import open_sample
-from chromaperture.threads import thread_count
+from chromaperture.system.threads import thread_count
 
 
 def contestants(design: str) -> dict:

@@ -19,8 +19,8 @@ import time
 from pathlib import Path
 
 import chromaperture as cap
-from chromaperture.cluster import connected, run_tasks
 from chromaperture.products.archive_cluster import Outcome, Recipe, measure_photograph, recipe_for
+from chromaperture.system.cluster import connected, run_tasks
 
 SAMPLE = "still_life_cy_halves"
 PORT = 18786  # chosen by hand, beside Dask's own

@@ -19,12 +19,12 @@ import cv2
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session, leave_one_out
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
-from chromaperture.config import Quality
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
 from chromaperture.depth.conversion import disparity_to_depth
 from chromaperture.depth.field import DepthField
+from chromaperture.model.camera_file import Calibration
+from chromaperture.settings.methods import Quality
 
 FLAT_MM = 2500.0  # board whose flatness is measured: beyond the focus, inside the range
 

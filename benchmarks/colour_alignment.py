@@ -11,14 +11,14 @@ from colour_data import PARALLAX, SCENES, Bench, markdown, print_row, save
 from no_parallax import sharp_scene, without_parallax
 from picture_quality import SURE_PX, compare, matched_exposure, misalignment, phase_misalignment
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_alignment import channel_shifts
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
+from chromaperture.camera.alignment import channel_shifts
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
 from chromaperture.capture.files import read_image
 from chromaperture.color.alignment import align_channels
 from chromaperture.color.transparency_map import compensate_vignetting, flat_field
 from chromaperture.effects.restore import restore, white_gains
+from chromaperture.model.camera_file import Calibration
 
 RIM_PX = 20  # left out of PSNR, SSIM and CIEDE2000
 LEAST_RESPONSE = 0.3  # of the peak of a phase correlation, to be counted

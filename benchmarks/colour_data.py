@@ -11,15 +11,15 @@ import cv2
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
 from chromaperture.capture.files import read_image
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.color.transparency_map import compensate_vignetting, flat_field
-from chromaperture.config import Quality
 from chromaperture.depth.conversion import depth_to_disparity
-from chromaperture.evaluation.paper.bench import truth_mm
+from chromaperture.model.camera_file import Calibration
+from chromaperture.settings.methods import Quality
+from chromaperture_paper.bench import truth_mm
 
 SCENES = ("still_life", "steps", "room", "desk")
 PARALLAX = ("cy_halves", "cy_open", "rgb_squares", "cmy_circles")

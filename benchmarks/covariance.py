@@ -25,13 +25,13 @@ import numpy as np
 from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.pinhole import pupil_camera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_rays
-from chromaperture.optics.simulated_session import SessionPlan, write_session
+from chromaperture.optics.simulator.session import SessionPlan, write_session
+from chromaperture.system.errors import InputError
 
 SENSOR_MM, FOCUS_MM, CELLS = 22.3, 2000.0, 8
 NEAR_MM, FAR_MM, JITTER_MM = 1000.0, 4000.0, 10.0

@@ -24,8 +24,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from chromaperture.camera import load_camera
-from chromaperture.camera_file import Calibration
+from chromaperture.camera.camera import load_camera
+from chromaperture.model.camera_file import Calibration
 
 STEP = 0.05  # of the distance
 WRONG = 0.05

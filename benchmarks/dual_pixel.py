@@ -18,8 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
-from chromaperture.camera_file import Calibration
-from chromaperture.evaluation.dual_pixel_camera import (
+from chromaperture.model.camera_file import Calibration
+from chromaperture.optics.paraxial import focused_at, paraxial
+from chromaperture.optics.prescription import Prescription
+from chromaperture_paper.dual_pixel import BOARDS_MM, correction_sentence, means, measured
+from chromaperture_paper.dual_pixel_camera import (
     FOCUS_MM,
     Corrections,
     calibrated_by_boards,
@@ -27,10 +30,7 @@ from chromaperture.evaluation.dual_pixel_camera import (
     capture,
     lens_of_json,
 )
-from chromaperture.evaluation.dual_pixel_session import calibrated_by_session, write_lens_session
-from chromaperture.evaluation.paper.dual_pixel import BOARDS_MM, correction_sentence, means, measured
-from chromaperture.optics.paraxial import focused_at, paraxial
-from chromaperture.optics.prescription import Prescription
+from chromaperture_paper.dual_pixel_session import calibrated_by_session, write_lens_session
 
 LINES = ("boards", "prescription", "uncorrected", "session")
 

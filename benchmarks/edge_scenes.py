@@ -18,12 +18,12 @@ from error_bar_scenes import NEAREST_MM, few_surfaces, photographed, random_scen
 from furnished_rooms import cover_of_card, furnished_room
 from numpy.random import Generator
 
-from chromaperture.disparity.depth_edges import BLOCK_PX
+from chromaperture.matching.planes.depth_edges import BLOCK_PX
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import RayTable, lens_rays
-from chromaperture.optics.scene import Plane, plane
+from chromaperture.optics.simulator.scene import Plane, plane
 
 PITCH_MM = 0.03097
 SIZES = ((720, 480), (720, 480), (360, 240))

@@ -1,4 +1,4 @@
-"""Train the network that finds depth edges in a photograph, and write ``disparity/depth_edges.onnx``.
+"""Train the network that finds depth edges in a photograph, and write ``matching/depth_edges.onnx``.
 
     python benchmarks/edge_scenes.py --out scenes --first 3 --cameras 87
     python benchmarks/edge_training.py scenes --minutes 28 --aside 10 --write
@@ -30,7 +30,7 @@ from sklearn.metrics import average_precision_score
 from torch import Tensor, nn
 from torch.nn import functional
 
-from chromaperture.disparity.depth_edges import MODEL, contrast
+from chromaperture.matching.planes.depth_edges import MODEL, contrast
 
 CROP = 96  # blocks; smaller frames are taken as high or wide as they are
 BATCH = 6

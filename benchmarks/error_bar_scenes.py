@@ -14,10 +14,10 @@ from numpy.random import Generator
 from skimage import data
 
 from chromaperture.optics.ray_table import RayTable
-from chromaperture.optics.render import render, render_depth
-from chromaperture.optics.scene import Plane, plane
-from chromaperture.optics.sensor import SensorModel, develop, expose
-from chromaperture.optics.textures import noise, srgb_to_linear
+from chromaperture.optics.simulator.render import render, render_depth
+from chromaperture.optics.simulator.scene import Plane, plane
+from chromaperture.optics.simulator.sensor import SensorModel, develop, expose
+from chromaperture.optics.simulator.textures import noise, srgb_to_linear
 
 PHOTOGRAPHS = ("astronaut", "coffee", "chelsea", "rocket", "immunohistochemistry", "hubble_deep_field")
 NEAREST_MM, FARTHEST_MM = 1000.0, 3900.0

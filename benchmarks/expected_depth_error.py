@@ -14,25 +14,25 @@ import json
 import numpy as np
 
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
-from chromaperture.config import AccurateConfig, RealTimeConfig
-from chromaperture.disparity.blur_evidence import SPACING_PX, BlurEvidence
-from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.labels import IDENTITY
-from chromaperture.disparity.result import ESTIMATED_NOISE
-from chromaperture.disparity.winner import parabola_winner
+from chromaperture.matching.estimate import estimate_disparity
+from chromaperture.matching.evidence.blur import SPACING_PX, BlurEvidence
+from chromaperture.matching.execution import execution_named
+from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.result import ESTIMATED_NOISE
+from chromaperture.matching.winner import parabola_winner
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
-from chromaperture.optics.layer_renderer import render_layers
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.metrics import aperture_figures, film_unmixing
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.pinhole import pupil_camera
 from chromaperture.optics.prescription import load_lens
-from chromaperture.optics.sensor import SensorModel, develop, expose
-from chromaperture.optics.textures import noise
-from chromaperture.robust import MAD_TO_SIGMA
-from chromaperture.stage_config import CrossFilterConfig
+from chromaperture.optics.simulator.layer_renderer import render_layers
+from chromaperture.optics.simulator.sensor import SensorModel, develop, expose
+from chromaperture.optics.simulator.textures import noise
+from chromaperture.settings.methods import AccurateConfig, RealTimeConfig
+from chromaperture.settings.stages import CrossFilterConfig
+from chromaperture.system.robust import MAD_TO_SIGMA
 
 SIZE, BORDER, PITCH_MM = 256, 40, 0.0309722
 LAYERS = 8  # to each side of the plane

@@ -16,12 +16,12 @@ import numpy as np
 from error_bar_scenes import NEAREST_MM, grain, photograph, photographed, side_of_box
 from numpy.random import Generator
 
+from chromaperture.app.live.pictures import depth_picture
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_rays
-from chromaperture.optics.scene import Plane, plane
-from chromaperture.viewer.pictures import depth_picture
+from chromaperture.optics.simulator.scene import Plane, plane
 
 WORDS = (
     "depth", "light", "colour", "pupil", "lens", "field", "focus", "aperture", "film", "ray", "optics", "sensor",

@@ -20,9 +20,9 @@ import numpy as np
 from dual_pixel import figures
 from half_pupil import CROP, RANGE_PX, by_quality, capture, score
 
-from chromaperture.camera import load_camera
-from chromaperture.evaluation.paper.dual_pixel import means
+from chromaperture.camera.camera import load_camera
 from chromaperture.products.samples import sample_camera
+from chromaperture_paper.dual_pixel import means
 
 KEPT = Path(__file__).parent / "golden.json"
 QUALITY = "real-time"

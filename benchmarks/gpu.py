@@ -31,17 +31,17 @@ from typing import Any
 import numpy as np
 from matcher import scene
 
-from chromaperture.config import PaperConfig, RealTimeConfig
-from chromaperture.disparity.estimate import method_for
-from chromaperture.disparity.gpu.device import AdapterInfo, Chain, Device, Dispatch
-from chromaperture.disparity.gpu.gpu_method import DeviceMethod, GpuMethod, on_device
-from chromaperture.disparity.gpu.measured import NOTHING
-from chromaperture.disparity.gpu.stage_timing import pass_times_ms, stage_times_ms
-from chromaperture.disparity.labels import IDENTITY
-from chromaperture.disparity.paper import PaperMethod
-from chromaperture.disparity.real_time import RealTimeMethod
+from chromaperture.matching.device.device import AdapterInfo, Chain, Device, Dispatch
+from chromaperture.matching.device.gpu_method import DeviceMethod, GpuMethod, on_device
+from chromaperture.matching.device.measured import NOTHING
+from chromaperture.matching.device.stage_timing import pass_times_ms, stage_times_ms
+from chromaperture.matching.estimate import method_for
+from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.paper import PaperMethod
+from chromaperture.matching.real_time import RealTimeMethod
 from chromaperture.optics.aperture import design_named
-from chromaperture.threads import limited_threads, thread_count
+from chromaperture.settings.methods import PaperConfig, RealTimeConfig
+from chromaperture.system.threads import limited_threads, thread_count
 
 # Chosen by hand, so that a benchmark takes seconds: whole calls, the fastest counts; runs with timestamps, the median.
 ROUNDS, DEVICE_ROUNDS, STAGE_ROUNDS = 6, 30, 9

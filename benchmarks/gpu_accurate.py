@@ -25,14 +25,14 @@ import cv2
 import numpy as np
 from gpu import count, counting_device, median_time_ms, median_times_ms, warmed
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_matching import default_config
-from chromaperture.disparity.accurate import AccurateMethod
-from chromaperture.disparity.gpu.accurate_chain import DOWN, AccurateChain
-from chromaperture.disparity.gpu.device import Chain, Device, Dispatch
-from chromaperture.disparity.working_scale import ScaledMethod
-from chromaperture.errors import CaptureWarning
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
+from chromaperture.matching.accurate import AccurateMethod
+from chromaperture.matching.device.accurate_chain import DOWN, AccurateChain
+from chromaperture.matching.device.device import Chain, Device, Dispatch
+from chromaperture.matching.working_scale import ScaledMethod
 from chromaperture.products.samples import open_sample
+from chromaperture.system.errors import CaptureWarning
 
 LEAST_AGREEING, DEPTH_TOLERANCE = 0.995, 1e-3
 ROUNDS = 5  # on a device that is not software

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera, load_camera
-from chromaperture.config import Quality
+from chromaperture.camera.camera import CodedApertureCamera, load_camera
 from chromaperture.frame.depth_frame import DepthFrame
+from chromaperture.settings.methods import Quality
 
 AGREEING = 1e-3
 

@@ -21,10 +21,10 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from chromaperture.disparity.gpu.accurate_chain import AccurateOnDevice
-from chromaperture.disparity.gpu.device import Chain, Dispatch, open_device
+from chromaperture.matching.device.accurate_chain import AccurateOnDevice
+from chromaperture.matching.device.device import Chain, Dispatch, open_device
 from chromaperture.products.samples import open_sample
-from chromaperture.threads import limited_threads
+from chromaperture.system.threads import limited_threads
 
 LEAST_AGREEING, DEPTH_TOLERANCE = 0.995, 1e-3
 
@@ -95,7 +95,7 @@ class Clock:
     def watch(self, path: str, name: str) -> None:
         """Replace a function, wherever it was imported, by one that is timed."""
         module_name, _, attribute = path.partition(":")
-        module = importlib.import_module(f"chromaperture.disparity.{module_name}")
+        module = importlib.import_module(f"chromaperture.matching.{module_name}")
         *owners, attribute = attribute.split(".")
         owner = getattr(module, owners[0]) if owners else module
         original = getattr(owner, attribute)

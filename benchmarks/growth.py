@@ -15,9 +15,9 @@ import numpy as np
 from matcher import CONFIG, matching, scene
 from timing import fastest_ms
 
-from chromaperture.disparity.views import view_spaces
+from chromaperture.matching.views import view_spaces
 from chromaperture.optics.aperture import design_named
-from chromaperture.threads import thread_count
+from chromaperture.system.threads import thread_count
 
 SIZES = ((240, 320), (360, 640), (480, 960), (720, 1280))
 LAYERS = (16, 24, 32, 48, 64)

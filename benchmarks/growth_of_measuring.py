@@ -22,11 +22,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.disparity.accurate import AccurateMethod
-from chromaperture.disparity.real_time import RealTimeMethod
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.matching.accurate import AccurateMethod
+from chromaperture.matching.real_time import RealTimeMethod
 from chromaperture.products.samples import open_sample
-from chromaperture.stage_config import LayersConfig
+from chromaperture.settings.stages import LayersConfig
 
 QUALITIES = ("real-time", "accurate")
 VALUES = {

@@ -4,7 +4,7 @@
     python benchmarks/half_pixel_rooms.py --data FOLDER --camera rf50.asdf --seeds 0 1 2 ... [--without-shared-noise]
 
 Walls that hardly have texture, dark leather, prints, from .5 to 7.5 m, as 8-bit files with noise as photographs have it
-(``disparity/half_pixel_likelihood.py``). ``--without-shared-noise`` measures as if every channel's noise were its own.
+(``matching/evidence/half_pixels.py``). ``--without-shared-noise`` measures as if every channel's noise were its own.
 Printed are AbsRel, shares of all pixels with a ratio below 1.25 and within 5 and 10 %, of errors within one and two
 error bars, and of pixels that are blank and off by a ratio of 1.25. Textures are those of ``error_bar_scenes.py``.
 """
@@ -20,19 +20,19 @@ import numpy as np
 from error_bar_scenes import grain, texture
 from numpy.random import Generator
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration
+from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
-from chromaperture.config import AccurateConfig
-from chromaperture.evaluation.dual_pixel_camera import FULL_WELL_ELECTRONS, SENSOR_WIDTH_MM, lens_of_json
-from chromaperture.evaluation.dual_pixel_noise import camera_for
+from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.half_pixels import HalfPixels, half_pixel_rays
 from chromaperture.optics.paraxial import focused_at, paraxial
 from chromaperture.optics.pinhole import pupil_camera
 from chromaperture.optics.ray_table import RayTable, lens_rays
-from chromaperture.optics.render import render, render_depth
-from chromaperture.optics.scene import Plane, plane
+from chromaperture.optics.simulator.render import render, render_depth
+from chromaperture.optics.simulator.scene import Plane, plane
+from chromaperture.settings.methods import AccurateConfig
+from chromaperture_paper.dual_pixel_camera import FULL_WELL_ELECTRONS, SENSOR_WIDTH_MM, lens_of_json
+from chromaperture_paper.dual_pixel_noise import camera_for
 
 WIDTH, HEIGHT = 768, 512
 HALVES, FOCUS_MM = HalfPixels(slope=0.414, half_slope_px=336.0), 956.0  # by the two boards; from the pupil

@@ -29,14 +29,14 @@ import numpy as np
 import scipy.optimize
 from scipy.stats import spearmanr
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
 from chromaperture.color.color_maps import DISTANCE, color_map
 from chromaperture.color.noise import estimate_noise_variance
-from chromaperture.config import AccurateConfig, Quality
-from chromaperture.disparity.estimate import estimate_disparity
+from chromaperture.matching.estimate import estimate_disparity
+from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.kernel_blur import KernelBlur, blur_from_kernels
+from chromaperture.settings.methods import AccurateConfig, Quality
 
 BLACK = 1024.0
 COVERAGES = (0.5, 0.7, 0.8, 0.9, 1.0)

@@ -12,10 +12,10 @@ import numpy as np
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import RayTable, lens_rays
-from chromaperture.optics.render import render, render_depth
-from chromaperture.optics.scene import Plane, plane
-from chromaperture.optics.sensor import SensorModel, develop, expose
-from chromaperture.optics.textures import noise
+from chromaperture.optics.simulator.render import render, render_depth
+from chromaperture.optics.simulator.scene import Plane, plane
+from chromaperture.optics.simulator.sensor import SensorModel, develop, expose
+from chromaperture.optics.simulator.textures import noise
 
 WIDTH, HEIGHT, PITCH_MM = 720, 480, 0.0309722  # of the sample camera
 FOCAL_PX = 1660  # about: 51.4 mm of image distance; places textures, measures nothing

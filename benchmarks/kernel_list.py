@@ -27,8 +27,8 @@ def kernels_of(quality: str) -> dict[str, list]:
     from numba.core.dispatcher import Dispatcher
 
     from chromaperture.color.nearest_known import fill_from_nearest
-    from chromaperture.compile_ahead import text_of
     from chromaperture.products.samples import open_sample, samples
+    from chromaperture.system.compile_ahead import text_of
 
     seconds: dict[str, float] = {}
     begun: list[float] = []

@@ -20,7 +20,7 @@ from pathlib import Path
 import cv2
 from large_pictures import CHILD
 
-from chromaperture.threads import parallel_map
+from chromaperture.system.threads import parallel_map
 
 WHITE = "white"  # folder of the white sheets, in a session or beside it
 

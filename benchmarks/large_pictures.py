@@ -4,7 +4,7 @@
         [--plot FILE.png]
 
 A 50 mm f/2 lens focused at 2 m is simulated, without aberrations, behind a sensor of 6000 x 4000 pixels: six textured
-surfaces at different distances, blurred by up to 69 px (`optics/layer_renderer.py`). Smaller sensors see the same
+surfaces at different distances, blurred by up to 69 px (`optics/simulator/layer_renderer.py`). Smaller sensors see the same
 light: means over their larger pixels, then the photon noise of their larger wells. The curve of quality real-time is
 fitted to flat walls in the pixels in which the camera matches, as `calibrate` does it (720 x 480, and 750 x 500 of the
 large sensor): its bias belongs to windows of so many pixels. That of accurate is the optics' own. Every
@@ -31,19 +31,19 @@ import numpy as np
 import tifffile
 from numpy.polynomial import chebyshev
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
-from chromaperture.camera_parts import CameraSensor, Film, Lens
-from chromaperture.camera_scale import reduced_size, resized, working_scale
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.nonlinearity import Nonlinearity
+from chromaperture.model.camera_file import Calibration
+from chromaperture.model.camera_parts import CameraSensor, Film, Lens
+from chromaperture.model.scale import reduced_size, resized, working_scale
 from chromaperture.optics.aperture import DESIGNS, channel_transmission, made_of
-from chromaperture.optics.layer_renderer import render_layers
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.pinhole import PupilCamera, centered_pinhole
-from chromaperture.optics.textures import noise
+from chromaperture.optics.simulator.layer_renderer import render_layers
+from chromaperture.optics.simulator.textures import noise
 
 SMALL, LARGE = (720, 480), (6000, 4000)
 SENSOR_MM, FOCAL_MM, PUPIL_MM, FOCUS_MM = 22.3, 52.0, 51.0, 2000.0  # the bench50 camera's, rounded

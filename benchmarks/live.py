@@ -23,11 +23,11 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera, load_camera
+from chromaperture.app.live.loop import LiveLoop
+from chromaperture.app.live.page import LivePage
+from chromaperture.camera.camera import CodedApertureCamera, load_camera
 from chromaperture.capture.open import open_source
 from chromaperture.reconstruction.volume import BLOCK_BYTES
-from chromaperture.viewer.loop import LiveLoop
-from chromaperture.viewer.page import LivePage
 
 
 def resident_mb() -> float:

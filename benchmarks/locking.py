@@ -16,9 +16,9 @@ import numpy as np
 import scipy.fft
 
 from chromaperture.color.unmixing import view_directions
-from chromaperture.config import preset
-from chromaperture.disparity.estimate import estimate_disparity
+from chromaperture.matching.estimate import estimate_disparity
 from chromaperture.optics.aperture import Aperture, design_named
+from chromaperture.settings.methods import preset
 
 SIZE, BORDER, NOISE, CONTRAST = (240, 320), 24, 0.003, 0.15
 STEP_PX, REACH_PX, TEXTURES = 0.05, 2.0, 3

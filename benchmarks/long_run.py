@@ -35,17 +35,17 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera, load_camera
+from chromaperture.app.live.loop import LiveLoop
+from chromaperture.app.live.page import LivePage
+from chromaperture.app.live.watchdog import Watchdog
+from chromaperture.camera.camera import CodedApertureCamera, load_camera
 from chromaperture.capture.files import read_image
 from chromaperture.capture.source import Frame
 from chromaperture.capture.threaded_source import DeviceLostError, LiveSource
 from chromaperture.color.encoding import Encoding
 from chromaperture.depth.field import DepthField
-from chromaperture.errors import InputError
 from chromaperture.products.samples import sample_camera, sample_image
-from chromaperture.viewer.loop import LiveLoop
-from chromaperture.viewer.page import LivePage
-from chromaperture.viewer.watchdog import Watchdog
+from chromaperture.system.errors import InputError
 
 NAME, WIDTH, HEIGHT = "still_life_cy_halves", 240, 160
 ENCODING = Encoding(16, 1016)

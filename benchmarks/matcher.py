@@ -13,14 +13,14 @@ import cv2
 import numpy as np
 from timing import fastest_ms
 
-from chromaperture.config import RealTimeConfig
-from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.labels import IDENTITY
-from chromaperture.disparity.real_time import RealTimeMethod
-from chromaperture.disparity.views import halved, view_spaces
-from chromaperture.disparity.winner import Surface
+from chromaperture.matching.execution import execution_named
+from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.real_time import RealTimeMethod
+from chromaperture.matching.views import halved, view_spaces
+from chromaperture.matching.winner import Surface
 from chromaperture.optics.aperture import Aperture, design_named
-from chromaperture.threads import thread_count
+from chromaperture.settings.methods import RealTimeConfig
+from chromaperture.system.threads import thread_count
 
 HEIGHT, WIDTH = 720, 1280
 NOISE = 0.004

@@ -13,8 +13,8 @@ from functools import partial
 
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_matching import sensor_noise
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import sensor_noise
 from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus

@@ -26,10 +26,10 @@ import cv2
 import numpy as np
 
 from chromaperture.app.device_plan import light_of_counts
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
 from chromaperture.color.srgb import linear_to_srgb_bytes
+from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import open_sample, sample_camera
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))

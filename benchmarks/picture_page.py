@@ -16,14 +16,14 @@ import cv2
 import numpy as np
 from colour_data import LEVELS, SCENES
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
 from chromaperture.capture.files import read_image
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.color.transparency_map import compensate_vignetting, flat_field
 from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.effects.restore import restore, white_gains
+from chromaperture.model.camera_file import Calibration
 
 CROPS = {"middle": (160, 300), "corner": (0, 0)}  # top, left, px
 SIZE = (240, 300)  # height, width, px

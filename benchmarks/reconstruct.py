@@ -17,7 +17,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera, DepthFrame, load_camera
+from chromaperture.camera.camera import CodedApertureCamera, DepthFrame, load_camera
 from chromaperture.capture.open import open_source
 from chromaperture.products.rectified import View, undistorter
 from chromaperture.reconstruction.build_model import summary

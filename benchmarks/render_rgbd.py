@@ -14,8 +14,8 @@ import numpy as np
 
 from chromaperture.color.srgb import linear_to_srgb_bytes, srgb_to_linear
 from chromaperture.optics.aperture import DESIGNS, made_of
-from chromaperture.optics.layer_renderer import render_layers
 from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.optics.simulator.layer_renderer import render_layers
 
 SENSOR_TO_PUPIL_MM = 50.0
 SEVEN_SCENES_PX = 585.0  # focal length

@@ -15,12 +15,12 @@ from timing import fastest_ms
 
 from chromaperture.color.alignment import align_channels, channel_directions
 from chromaperture.color.lens_shift import LensShift
-from chromaperture.disparity.views import view_spaces
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
 from chromaperture.effects.refocusing import Focus, refocus
+from chromaperture.matching.views import view_spaces
 from chromaperture.optics.aperture import design_named
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
-from chromaperture.threads import thread_count
+from chromaperture.system.threads import thread_count
 
 CASES = {
     "hd_restoration_two_filters": ("cy_halves", (720, 1280)),

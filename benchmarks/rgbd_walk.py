@@ -19,12 +19,12 @@ import numpy as np
 from reconstruct import trajectory_errors
 
 from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.camera import DepthFrame, load_camera
+from chromaperture.camera.camera import DepthFrame, load_camera
 from chromaperture.capture.simulated import SimulatedSource
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
-from chromaperture.optics.simulated_session import SessionPlan, write_session
+from chromaperture.optics.simulator.session import SessionPlan, write_session
 from chromaperture.products.rectified import View, undistorter
 from chromaperture.reconstruction.fusion import Reconstruction
 from chromaperture.reconstruction.settings import ReconstructionConfig

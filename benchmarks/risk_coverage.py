@@ -29,7 +29,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 
-from chromaperture.camera import load_camera
+from chromaperture.camera.camera import load_camera
 
 WRONG = 0.02  # of the depth
 WITHIN = "within_1_sigma", "within_2_sigma"

@@ -15,7 +15,6 @@ from colour_data import markdown, print_row, save
 from half_pupil import CROP, REACH, by_kernels, capture, kernel_blur, read
 from picture_quality import compare
 
-from chromaperture.camera_file import Calibration
 from chromaperture.color.alignment import align_channels
 from chromaperture.color.lens_shift import LensShift
 from chromaperture.color.noise import estimate_noise_variance
@@ -25,6 +24,7 @@ from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.restoration_tiles import by_tiles
 from chromaperture.effects.restore import UNFITTED_ERROR, fitted_settings
 from chromaperture.effects.transfer_functions import Blur, LensTransfer, ThinLensBlur
+from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import centroids
 from chromaperture.optics.lens_blur import BlurModel, LensBlur
 
@@ -82,8 +82,8 @@ def simulated_rows(calibration: Calibration, out: Path | None) -> list[dict]:
     from chromaperture.optics.pinhole import pupil_camera
     from chromaperture.optics.prescription import load_lens
     from chromaperture.optics.ray_table import lens_rays, pinhole_rays
-    from chromaperture.optics.render import render, render_depth, render_sharp
-    from chromaperture.optics.scene import load_scene, plane
+    from chromaperture.optics.simulator.render import render, render_depth, render_sharp
+    from chromaperture.optics.simulator.scene import load_scene, plane
 
     width, height, pitch = 480, 320, 22.3 / 480
     lens = focused_at(load_lens("double_gauss_50"), 2000.0)

@@ -10,13 +10,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from chromaperture.optics import textures
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import pupil_camera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_rays
-from chromaperture.optics.render import render
-from chromaperture.optics.scene import plane
+from chromaperture.optics.simulator import textures
+from chromaperture.optics.simulator.render import render
+from chromaperture.optics.simulator.scene import plane
 
 WIDTH, HEIGHT, PITCH_MM = 720, 480, 0.0309722  # of the captures of bench50: 22.3 mm over 720 px
 CORNERS, SQUARE_MM = (9, 6), 30.0

@@ -3,7 +3,7 @@
     python benchmarks/simulated_phone.py --out FOLDER [--work FOLDER] [--only everything nothing] [--small]
 
 The package's 4 mm lens (``phone_4``) with the film 0.5 mm before its stop, between front lens and cover glass as in the
-paper's prototype. Light is rendered ray by ray at 1280x720; `optics/video_signal.py` puts noise, tone curve, 4:2:0
+paper's prototype. Light is rendered ray by ray at 1280x720; `optics/simulator/video_signal.py` puts noise, tone curve, 4:2:0
 colours and 8 bits on it, and the page's halving. The session is filled by the assistant's own checks, calibrated
 by its job, and planes at other distances are measured with the camera file it made, as ``api/frames`` measures.
 
@@ -31,7 +31,6 @@ from chromaperture.app.session_folder import SessionFolder
 from chromaperture.app.workbench import Workbench, heard
 from chromaperture.color.srgb import srgb_to_linear
 from chromaperture.frame.depth_frame import DepthFrame
-from chromaperture.optics import textures
 from chromaperture.optics.aperture import DESIGNS, Aperture, SubAperture, channel_transmission, made_of
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
 from chromaperture.optics.filters import OPAQUE
@@ -39,13 +38,14 @@ from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.pinhole import PupilCamera, pupil_camera
 from chromaperture.optics.prescription import load_lens, with_filter_at
 from chromaperture.optics.ray_table import RayTable, lens_rays
-from chromaperture.optics.render import render, render_depth
-from chromaperture.optics.scene import plane
-from chromaperture.optics.sensor import SensorModel
 from chromaperture.optics.shapes import Disc
-from chromaperture.optics.simulated_session import wall
-from chromaperture.optics.video_signal import VideoSignal, drawn_smaller, video_frame
-from chromaperture.robust import MAD_TO_SIGMA
+from chromaperture.optics.simulator import textures
+from chromaperture.optics.simulator.render import render, render_depth
+from chromaperture.optics.simulator.scene import plane
+from chromaperture.optics.simulator.sensor import SensorModel
+from chromaperture.optics.simulator.session import wall
+from chromaperture.optics.simulator.video_signal import VideoSignal, drawn_smaller, video_frame
+from chromaperture.system.robust import MAD_TO_SIGMA
 
 WHITE = 0.9  # of full scale, of the brightest paper
 RULER_MM = 0.3  # largest error of a distance: a caliper's, at these distances

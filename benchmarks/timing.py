@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 import cv2
 import numba
 
-from chromaperture.threads import limited_threads
+from chromaperture.system.threads import limited_threads
 
 
 def fastest_ms(contestants: Mapping[str, Callable[[], object]], *, threads: int, rounds: int = 8) -> dict[str, float]:

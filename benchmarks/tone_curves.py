@@ -27,7 +27,7 @@ from chromaperture.calibration.measurement_cache import Store
 from chromaperture.calibration.place_boards import measure_pinhole
 from chromaperture.calibration.progress import silent
 from chromaperture.calibration.session import read_session
-from chromaperture.camera import load_camera
+from chromaperture.camera.camera import load_camera
 from chromaperture.color.srgb import linear_to_srgb
 
 QUALITIES = ("accurate", "real-time")

@@ -47,17 +47,26 @@ from world_shapes import (
     vase,
 )
 
-from chromaperture.camera import load_camera
-from chromaperture.compilation import compiled
+from chromaperture.camera.camera import load_camera
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import RayTable, lens_rays
-from chromaperture.optics.render import _grid, _interpolate_row, _jitter, _pixel_slope, _random, _Rays, _texel, _World
-from chromaperture.optics.scene import Plane, plane
-from chromaperture.optics.sensor import SensorModel, develop, expose
-from chromaperture.optics.textures import srgb_to_linear
-from chromaperture.threads import in_parallel
+from chromaperture.optics.simulator.render import (
+    _grid,
+    _interpolate_row,
+    _jitter,
+    _pixel_slope,
+    _random,
+    _Rays,
+    _texel,
+    _World,
+)
+from chromaperture.optics.simulator.scene import Plane, plane
+from chromaperture.optics.simulator.sensor import SensorModel, develop, expose
+from chromaperture.optics.simulator.textures import srgb_to_linear
+from chromaperture.system.compilation import compiled
+from chromaperture.system.threads import in_parallel
 
 WIDTH_PX, HEIGHT_PX, SENSOR_MM, LENS = 720, 480, 22.3, "double_gauss_50"
 CAMERAS = {  # name: design, focus in mm
@@ -144,7 +153,7 @@ def meshed(sheets: Sequence[Sheet], light: np.ndarray, ambient: float) -> Mesh:
 
 @compiled(fastmath=True)
 def _aim(lines, light, rays, jitter, seed, top, first_row, last_row):  # type: ignore[no-untyped-def]
-    """Fill rays (rows, width, G, S, 6) and their light, as `chromaperture.optics.render` aims them."""
+    """Fill rays (rows, width, G, S, 6) and their light, as `chromaperture.optics.simulator.render` aims them."""
     _, width, sets, count = light.shape
     columns = rays.origin.shape[2]
     line = np.empty((sets, columns, count, 7), np.float32)

@@ -15,7 +15,7 @@ from playwright.sync_api import sync_playwright
 from apps import DESKTOP, FACTS, PHONE, REC_709, WEBGPU, chromium, render_session, served, write_y4m
 from chromaperture.app.camera_feed import CameraFeed
 from chromaperture.color.srgb import linear_to_srgb_bytes
-from chromaperture.optics.video_signal import bt709_curve
+from chromaperture.optics.simulator.video_signal import bt709_curve
 from chromaperture.products.samples import open_sample, sample_camera, sample_image
 from test_app_page import begin, put
 

@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 import pytest
 
+from chromaperture.app.live.access import Access
 from chromaperture.app.workbench import Workbench
 from chromaperture.color.srgb import linear_to_srgb_bytes
-from chromaperture.viewer.access import Access
 
 BROWSER_TESTS = [  # marks of a file whose tests need the app's server and a Chromium of the system
     pytest.mark.extra("serve", "starlette"),

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from chromaperture.disparity.gpu.device import adapters, has_extra
+from chromaperture.matching.device.device import adapters, has_extra
 
 # Set where a driver was installed for these tests: then its absence is a failure.
 EXPECTED = "CHROMAPERTURE_EXPECT_DEVICE"

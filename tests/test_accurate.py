@@ -3,25 +3,26 @@
 import numpy as np
 import pytest
 
-from chromaperture.config import AccurateConfig
-from chromaperture.disparity import cpu, stages
-from chromaperture.disparity.accurate import AccurateMethod, explained_surface, path_surface
-from chromaperture.disparity.correlation_evidence import CorrelationEvidence, log_likelihood
-from chromaperture.disparity.error_bar import surface_sigma
-from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.labels import IDENTITY, LabelMap, label_map
-from chromaperture.disparity.result import ESTIMATED_NOISE
-from chromaperture.disparity.stages.correlation import three_view_score
-from chromaperture.disparity.views import ViewSpace
-from chromaperture.disparity.winner import Surface
-from chromaperture.errors import InputError
-from chromaperture.stage_config import (
+from chromaperture.matching import compiled as cpu
+from chromaperture.matching import readable as stages
+from chromaperture.matching.accurate import AccurateMethod, explained_surface, path_surface
+from chromaperture.matching.error_bar import surface_sigma
+from chromaperture.matching.evidence.correlation import CorrelationEvidence, log_likelihood
+from chromaperture.matching.execution import execution_named
+from chromaperture.matching.labels import IDENTITY, LabelMap, label_map
+from chromaperture.matching.readable.correlation import three_view_score
+from chromaperture.matching.result import ESTIMATED_NOISE
+from chromaperture.matching.views import ViewSpace
+from chromaperture.matching.winner import Surface
+from chromaperture.settings.methods import AccurateConfig
+from chromaperture.settings.stages import (
     CorrelationConfig,
     CorrelationEvidenceConfig,
     LayersConfig,
     SurfaceConfig,
     ViewsConfig,
 )
+from chromaperture.system.errors import InputError
 
 LAYERS_PX = np.arange(-3.0, 3.01, 0.5)
 

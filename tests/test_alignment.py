@@ -15,10 +15,10 @@ from chromaperture.color.alignment import (
 from chromaperture.color.srgb import linear_to_srgb, linear_to_srgb_bytes
 from chromaperture.color.unmixing import own_film_unmixing
 from chromaperture.color.visibility import visible_from
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission
 from chromaperture.optics.ray_table import pinhole_rays
-from chromaperture.optics.render import render, render_depth
+from chromaperture.optics.simulator.render import render, render_depth
+from chromaperture.system.errors import InputError
 from worlds import MARGIN_PX, capture, card_before_wall, pinhole_camera, texture
 
 

@@ -20,7 +20,7 @@ from chromaperture.capture.source import Frame
 from chromaperture.capture.threaded_source import DeviceLostError, LiveSource
 from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb_bytes
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 pytestmark = pytest.mark.extra("serve", "starlette")
 

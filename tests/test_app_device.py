@@ -13,12 +13,12 @@ import tifffile
 
 from apps import BROWSER_TESTS, DESKTOP, PHONE, REC_709, WEBGPU, chromium, pages, served, write_y4m
 from chromaperture.app.device_plan import light_of_counts
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
-from chromaperture.camera_scale import resized
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.depth.error_limit import within_error
+from chromaperture.model.camera_file import Calibration
+from chromaperture.model.scale import resized
 from chromaperture.products.samples import open_sample, sample_camera
 
 pytestmark = BROWSER_TESTS

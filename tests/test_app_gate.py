@@ -8,8 +8,8 @@ import time
 import pytest
 
 from chromaperture.app.gate import MOST_BODY_BYTES, MOST_UPLOADS, Gate, Refused
+from chromaperture.app.live.access import Access
 from chromaperture.app.server import safe_name
-from chromaperture.viewer.access import Access
 
 TOKEN = "right-token-of-the-test"
 HOST = b"127.0.0.1:8733"

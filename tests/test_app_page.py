@@ -12,10 +12,10 @@ import pytest
 
 from apps import BROWSER_TESTS, DESKTOP, FACTS, PHONE, chromium, chromium_with, pages, served
 from chromaperture.app.notes import heard
-from chromaperture.camera_file import Calibration
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb_bytes
+from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import open_sample, sample_camera, sample_image
 
 pytestmark = BROWSER_TESTS

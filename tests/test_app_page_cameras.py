@@ -93,7 +93,7 @@ def test_a_live_camera_that_is_taken_away_can_be_looked_at_again(browser, tmp_pa
 
         def next_frame(self):
             if not self.is_there:
-                from chromaperture.errors import InputError
+                from chromaperture.system.errors import InputError
 
                 raise InputError("webcam:0 gives no picture; is it connected and switched on?")
             return super().next_frame()

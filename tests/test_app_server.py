@@ -26,9 +26,9 @@ from chromaperture.app.server import safe_name, static_files
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb_bytes
-from chromaperture.errors import CaptureWarning
 from chromaperture.frame.frame_files import OUTPUTS, chosen_outputs
 from chromaperture.products.samples import open_sample, sample_camera, sample_image
+from chromaperture.system.errors import CaptureWarning
 
 pytestmark = pytest.mark.extra("serve", "starlette")
 NAME = "still_life_cy_halves"
@@ -310,9 +310,9 @@ def test_a_browser_that_trusts_the_certificate_is_answered_by_https(tmp_path):
     import threading
 
     from chromaperture.app.listening import make_server
+    from chromaperture.app.live.access import Access
     from chromaperture.app.server import make_app
     from chromaperture.app.workbench import Workbench
-    from chromaperture.viewer.access import Access
 
     made, port, ready = kept.kept_certificate(tmp_path, ["127.0.0.1"]), free_port(), threading.Event()
     access = Access("127.0.0.1", TOKEN, scheme="https", command="serve")

@@ -19,9 +19,9 @@ from chromaperture.app.shot_checks import Reading
 from chromaperture.app.workbench import Workbench
 from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.calibration_config import CalibrationConfig
-from chromaperture.camera_file import Calibration
-from chromaperture.errors import InputError
+from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import sample_camera
+from chromaperture.system.errors import InputError
 
 pytestmark = pytest.mark.extra("serve", "starlette")  # runs with the other extras, not in the README's test step
 

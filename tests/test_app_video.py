@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from apps import BROWSER_TESTS, FACTS, PHONE, chromium_with, pages, planes_of, served
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_scale import resized
+from chromaperture.model.camera_file import Calibration
+from chromaperture.model.scale import resized
 from chromaperture.products.samples import open_sample, sample_camera
 from test_app_page import begin, says
 

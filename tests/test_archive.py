@@ -13,10 +13,10 @@ import sys
 import pytest
 
 import chromaperture as cap
-from chromaperture import cluster
-from chromaperture.errors import InputError
 from chromaperture.frame import frame_files
 from chromaperture.products import archive_cluster, archive_store
+from chromaperture.system import cluster
+from chromaperture.system.errors import InputError
 from clusters import LocalCluster, sleep_or_die
 
 SAMPLE = "still_life_cy_halves"

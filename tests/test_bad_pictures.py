@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_alignment import channel_shifts
-from chromaperture.camera_file import Calibration
+from chromaperture.camera.alignment import channel_shifts
+from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.effects.restore import restore
 from chromaperture.effects.same_photograph import channel_agreement, check_same_photograph
-from chromaperture.errors import InputError
+from chromaperture.model.camera_file import Calibration
+from chromaperture.system.errors import InputError
 from worlds import texture
 
 H, W = 96, 128

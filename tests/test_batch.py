@@ -108,7 +108,7 @@ def test_processes_give_the_same_files_and_end_the_same_way(run, folder, tmp_pat
 
 
 def cap_threads():
-    from chromaperture.threads import limited_threads
+    from chromaperture.system.threads import limited_threads
 
     return limited_threads(1)
 

@@ -4,11 +4,11 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.config import AccurateConfig
-from chromaperture.disparity.accurate import explained_surface, path_surface
-from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.stages.between_layers import between_layers
-from chromaperture.stage_config import SurfaceConfig
+from chromaperture.matching.accurate import explained_surface, path_surface
+from chromaperture.matching.execution import execution_named
+from chromaperture.matching.readable.between_layers import between_layers
+from chromaperture.settings.methods import AccurateConfig
+from chromaperture.settings.stages import SurfaceConfig
 
 LAYERS_PX = np.arange(9) * 0.1 - 0.4
 

@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import median_filter
 
-from chromaperture.disparity.accurate import known_blocks
-from chromaperture.disparity.block_surface import (
+from chromaperture.matching.accurate import known_blocks
+from chromaperture.matching.execution import execution_named
+from chromaperture.matching.planes.block_surface import (
     NO_EDGE,
     BlockSurface,
     at_pixels,
@@ -21,9 +22,8 @@ from chromaperture.disparity.block_surface import (
     speaks_against,
     surface_of_blocks,
 )
-from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.plane_regions import Regions
-from chromaperture.planes_config import PlanesConfig, PlateConfig
+from chromaperture.matching.planes.regions import Regions
+from chromaperture.settings.stages import PlanesConfig, PlateConfig
 
 FAST = execution_named("numba")
 SHAPES = st.tuples(st.integers(4, 30), st.integers(4, 30))

@@ -5,7 +5,6 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from chromaperture.errors import InputError
 from chromaperture.optics import splat_kernels
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.lens_blur import (
@@ -20,6 +19,7 @@ from chromaperture.optics.lens_blur import (
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_bundle, pinhole_rays
+from chromaperture.system.errors import InputError
 
 W, H = 240, 160
 HALVES = sample_pupil(DESIGNS["cy_halves"])

@@ -9,23 +9,23 @@ import scipy.fft
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.config import AccurateConfig, PaperConfig
-from chromaperture.disparity.blur_evidence import (
+from chromaperture.matching.error_bar import sigma_of_range
+from chromaperture.matching.estimate import estimate_disparity
+from chromaperture.matching.evidence.blur import (
     CONTRARY,
     MAX_CORRELATION2_OF_BANDS,
     SPACING_PX,
     BlurEvidence,
     explained_variance,
 )
-from chromaperture.disparity.error_bar import sigma_of_range
-from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.labels import IDENTITY
-from chromaperture.disparity.result import ESTIMATED_NOISE, NoiseModel
-from chromaperture.disparity.stages.tiles import SAMPLING_PX, Nodes, signal_fraction
-from chromaperture.errors import InputError
+from chromaperture.matching.execution import execution_named
+from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.readable.tiles import SAMPLING_PX, Nodes, signal_fraction
+from chromaperture.matching.result import ESTIMATED_NOISE, NoiseModel
 from chromaperture.optics.lens_blur import BlurModel
-from chromaperture.stage_config import CrossFilterConfig, LayersConfig
+from chromaperture.settings.methods import AccurateConfig, PaperConfig
+from chromaperture.settings.stages import CrossFilterConfig, LayersConfig
+from chromaperture.system.errors import InputError
 from worlds import blurred, lens_blur
 
 W, H = 160, 120

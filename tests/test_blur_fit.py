@@ -8,12 +8,12 @@ import pytest
 from chromaperture.calibration.board_layers import measured_layers
 from chromaperture.calibration.calibrate_blur import calibrate_blur
 from chromaperture.calibration.fit_blur import fit_blur
-from chromaperture.camera_file import Calibration
-from chromaperture.config import AccurateConfig
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.errors import InputError
+from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.lens_blur import BlurModel, LensBlur
+from chromaperture.settings.methods import AccurateConfig
+from chromaperture.system.errors import InputError
 from worlds import Boards, blurred, board_evidence, halves_camera, lens_blur
 
 W, H = 160, 120

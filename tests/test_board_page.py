@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from chromaperture.calibration.chessboard import find_corners
-from chromaperture.errors import InputError
-from chromaperture.optics.board_pattern import BoardPage, board_page, speckle, write_board
+from chromaperture.optics.printing.board_pattern import BoardPage, board_page, speckle, write_board
+from chromaperture.system.errors import InputError
 
 DPI = 150
 

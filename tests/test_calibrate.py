@@ -20,17 +20,17 @@ from chromaperture.calibration.fit_curve import fit_depth_model
 from chromaperture.calibration.fit_fields import check_scale
 from chromaperture.calibration.session import read_session
 from chromaperture.calibration.white_sheets import measure_white_sheets
-from chromaperture.camera_file import Calibration
 from chromaperture.color.unmixing import own_film_unmixing
-from chromaperture.config import preset
 from chromaperture.depth.field import DepthField
-from chromaperture.disparity.views import view_spaces
-from chromaperture.errors import InputError
 from chromaperture.evaluation import verdict
+from chromaperture.matching.views import view_spaces
+from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
-from chromaperture.optics.simulated_session import SessionPlan, write_session
+from chromaperture.optics.simulator.session import SessionPlan, write_session
+from chromaperture.settings.methods import preset
+from chromaperture.system.errors import InputError
 from worlds import INFINITY_PX, PUPIL_MM, RULERS_MM, SCALE_PX_MM, SESSION_TOML
 
 SHARP = CalibrationConfig(lens_blur=False)

@@ -11,8 +11,8 @@ import pytest
 from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.calibration.session import read_session
-from chromaperture.camera_matching import default_config
-from chromaperture.camera_scale import at_scale, working_scale
+from chromaperture.camera.method import default_config
+from chromaperture.model.scale import at_scale, working_scale
 from worlds import write_board_session
 
 SCALE = 4

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chromaperture.camera import CodedApertureCamera, load_camera
-from chromaperture.camera_alignment import channel_shifts
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
-from chromaperture.camera_parts import Film
+from chromaperture.camera.alignment import channel_shifts
+from chromaperture.camera.camera import CodedApertureCamera, load_camera
+from chromaperture.camera.method import default_config
 from chromaperture.capture.checks import check_capture
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
-from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.model.camera_file import Calibration
+from chromaperture.model.camera_parts import Film
 from chromaperture.products.measure_file import measure_file
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
+from chromaperture.system.errors import CaptureWarning, InputError
 from worlds import capture, texture
 
 CYAN, YELLOW = np.array([0.10, 0.63, 0.65]), np.array([0.92, 0.85, 0.10])

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.errors import InputError
+from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.products.samples import SAMPLES, open_sample, sample_camera, sample_image
+from chromaperture.system.errors import InputError
 
 LEFT, TOP, WIDTH, HEIGHT = 210, 96, 390, 300
 PART = np.s_[TOP : TOP + HEIGHT, LEFT : LEFT + WIDTH]

@@ -10,14 +10,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from chromaperture.camera import load_camera
-from chromaperture.camera_file import FORMAT_VERSION, Calibration
-from chromaperture.camera_parts import Board, CameraSensor, Film, Lens
+from chromaperture.camera.camera import load_camera
 from chromaperture.capture.files import read_image
 from chromaperture.depth.field import DepthField, LocalField
-from chromaperture.errors import InputError
+from chromaperture.model.camera_file import FORMAT_VERSION, Calibration
+from chromaperture.model.camera_parts import Board, CameraSensor, Film, Lens
 from chromaperture.optics.pinhole import centered_pinhole
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
+from chromaperture.system.errors import InputError
 from worlds import halves_camera
 
 

@@ -16,14 +16,14 @@ from PIL import Image
 
 import chromaperture as cap
 from chromaperture.calibration.session import read_session
-from chromaperture.camera_file import Calibration
 from chromaperture.capture.bayer import PATTERNS
 from chromaperture.capture.exif import read_model
 from chromaperture.capture.files import decode, format_of, image_size, is_encoded, opens_as_raw, read_image
 from chromaperture.capture.open import open_source
+from chromaperture.capture.shots import one_of_each
 from chromaperture.color.encoding import StatedFacts
-from chromaperture.errors import CaptureWarning, InputError
-from chromaperture.shots import one_of_each
+from chromaperture.model.camera_file import Calibration
+from chromaperture.system.errors import CaptureWarning, InputError
 from worlds import mosaic_of, write_dng
 
 needs_rawpy = pytest.mark.extra("raw", "rawpy")

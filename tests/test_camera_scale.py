@@ -8,15 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_scale import at_scale, resized
 from chromaperture.capture.picture_header import same_frame
 from chromaperture.color.noise import photon_noise_variance
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.depth.nonlinearity import Nonlinearity
-from chromaperture.errors import InputError
+from chromaperture.model.camera_file import Calibration
+from chromaperture.model.scale import at_scale, resized
 from chromaperture.optics.lens_blur import BlurModel, rims
+from chromaperture.system.errors import InputError
 from worlds import halves_camera
 
 W, H, S = 96, 64, 4  # of the full camera, and its reduction

@@ -8,9 +8,9 @@ import sys
 
 import pytest
 
-from chromaperture import cluster
-from chromaperture.errors import InputError, MissingDependencyError
-from chromaperture.evaluation.paper import sweep
+from chromaperture.system import cluster
+from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture_paper import sweep
 from clusters import LocalCluster, sleep_or_die
 from worlds import small_trials, stored
 

@@ -14,10 +14,10 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 
+from chromaperture.app.live.pictures import depth_picture
 from chromaperture.color.color_maps import DIFFERENCE, DISTANCE, ERROR, OTHER, UNKNOWN, color_map, draw_levels
 from chromaperture.evaluation.figures import plain_log_scale, show_image
 from chromaperture.frame.preview import write_preview
-from chromaperture.viewer.pictures import depth_picture
 
 ROOT = Path(__file__).parents[1]
 CHOICE = "src/chromaperture/color/color_maps.py"

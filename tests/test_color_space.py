@@ -25,7 +25,7 @@ from chromaperture.color.color_space import (
 )
 from chromaperture.color.color_tags import of_exif, of_icc, of_png
 from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 CODES = np.linspace(0, 1, 256)
 # X, Y, Z of R, G and B as the makers' profiles hold them: Apple, Adobe, Kodak, Hewlett-Packard.

@@ -14,12 +14,12 @@ import tifffile
 import typer
 from PIL import Image
 
-from chromaperture.camera_file import Calibration
 from chromaperture.cli import console
 from chromaperture.cli.depth import cameras
 from chromaperture.cli.main import app
-from chromaperture.evaluation.paper.registry import EXHIBITS
+from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
+from chromaperture_paper.registry import EXHIBITS
 from worlds import capture, texture
 
 SUFFIXES = (

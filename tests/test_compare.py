@@ -14,14 +14,14 @@ from scipy.stats import norm
 
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.pointcloud import PointCloud, write_ply
-from chromaperture.errors import InputError
 from chromaperture.evaluation.compare import compare_cameras, compare_depth
 from chromaperture.evaluation.compare_page import camera_page, depth_page
-from chromaperture.pages.map_data import every
-from chromaperture.pages.map_page import Page, Panel, render
+from chromaperture.files.map_data import every
+from chromaperture.files.map_page import Page, Panel, render
+from chromaperture.files.pictures import write_color_png, write_depth_png, write_float_tiff
 from chromaperture.products.result_files import StoredDepth, read_depth, read_ply, read_result
 from chromaperture.products.samples import sample_camera
-from chromaperture.storage import write_color_png, write_depth_png, write_float_tiff
+from chromaperture.system.errors import InputError
 from worlds import halves_camera
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from chromaperture import compilation
+from chromaperture.system import compilation
 
 KERNEL = """
-    from chromaperture.compilation import compiled
+    from chromaperture.system.compilation import compiled
     from chromaperture.between_of_a_test import FACTOR
 
     @compiled()
@@ -26,7 +26,7 @@ def package(tmp_path):
     folder = tmp_path / "chromaperture"
     folder.mkdir()
     (folder / "__init__.py").touch()
-    (folder / "compilation.py").write_bytes(Path(compilation.__file__).read_bytes())
+    (folder / "system/compilation.py").write_bytes(Path(compilation.__file__).read_bytes())
     (folder / "constants_of_a_test.py").write_text("FACTOR = 2\n")
     (folder / "between_of_a_test.py").write_text("from chromaperture.constants_of_a_test import FACTOR\n")
     (folder / "kernel_of_a_test.py").write_text(textwrap.dedent(KERNEL))

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from numba import types
 
-from chromaperture import compile_ahead
-from chromaperture.compile_ahead import Listed, listed, text_of, type_from
-from chromaperture.disparity.cpu.layout import Band
+from chromaperture.matching.compiled.layout import Band
+from chromaperture.system import compile_ahead
+from chromaperture.system.compile_ahead import Listed, listed, text_of, type_from
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 SMALL = ("chromaperture.color.row_alignment:scale_channels", "chromaperture.depth.pointcloud_kernels:back_project")
@@ -57,7 +57,7 @@ def test_a_kernel_that_no_longer_exists_is_left_alone():
 
 PROGRAM = f"""
 import json, sys
-from chromaperture import compile_ahead
+from chromaperture.system import compile_ahead
 small = [kernel for kernel in compile_ahead.listed("real-time") if kernel.kernel in {SMALL!r}]
 compile_ahead.listed = lambda *qualities: small
 if {{broken}}:

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chromaperture.config import PaperConfig, preset
-from chromaperture.disparity.error_bar import confidence, effective_samples, peak_sigma, sigma_of_range
-from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.winner import Winner
-from chromaperture.stage_config import BilateralConfig, CorrelationConfig
+from chromaperture.matching.error_bar import confidence, effective_samples, peak_sigma, sigma_of_range
+from chromaperture.matching.estimate import estimate_disparity
+from chromaperture.matching.winner import Winner
+from chromaperture.settings.methods import PaperConfig, preset
+from chromaperture.settings.stages import BilateralConfig, CorrelationConfig
 from worlds import LAYOUT, NARROW, capture, measured, texture
 
 

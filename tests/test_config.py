@@ -9,9 +9,8 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from chromaperture.config import QUALITIES, AccurateConfig, Config, PaperConfig, RealTimeConfig, preset
-from chromaperture.errors import InputError
-from chromaperture.stage_config import (
+from chromaperture.settings.methods import QUALITIES, AccurateConfig, Config, PaperConfig, RealTimeConfig, preset
+from chromaperture.settings.stages import (
     BilateralConfig,
     CorrelationConfig,
     CorrelationEvidenceConfig,
@@ -21,6 +20,7 @@ from chromaperture.stage_config import (
     SurfaceConfig,
     ViewsConfig,
 )
+from chromaperture.system.errors import InputError
 
 NAN, INF = float("nan"), float("inf")
 

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.config import AccurateConfig, Config, preset
-from chromaperture.config_file import with_file
-from chromaperture.errors import InputError
-from chromaperture.stage_config import CrossFilterConfig
+from chromaperture.settings.methods import AccurateConfig, Config, preset
+from chromaperture.settings.stages import CrossFilterConfig
+from chromaperture.settings.toml_file import with_file
+from chromaperture.system.errors import InputError
 
 CONFIGS = {
     "paper": Config(quality="paper", matcher=preset("paper")),

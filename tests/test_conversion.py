@@ -16,7 +16,7 @@ from chromaperture.depth.conversion import (
     disparity_to_inverse_depth,
 )
 from chromaperture.depth.paper_form import PaperParameters, model_to_paper, paper_to_model
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 # A 50 mm f/1.8 lens on a 1920 px wide picture, complementary halves, focused at about 2 m.
 FOCAL_MM, PITCH_MM = 51.62, 0.0116

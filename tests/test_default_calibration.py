@@ -8,16 +8,16 @@ import pytest
 
 from chromaperture.calibration.calibrate_session import calibrate_session, leave_one_out
 from chromaperture.calibration.calibration_config import CalibrationConfig
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
 from chromaperture.evaluation.accurate_noise import chosen_boards, with_accurate_noise
 from chromaperture.evaluation.verdict import depth_accuracy
+from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
-from chromaperture.optics.simulated_session import SessionPlan, write_session
-from chromaperture.robust import robust_sigma
+from chromaperture.optics.simulator.session import SessionPlan, write_session
+from chromaperture.system.robust import robust_sigma
 
 # A thin 50 mm f/2 lens on a frame as small as corners of boards at 3.2 m are found in.
 CAMERA = PupilCamera(192, 128, 450.0, 12.5, 2000.0, 50.0, 0.06)

@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.disparity.block_surface import NO_EDGE, depth_edges_of
-from chromaperture.disparity.depth_edges import BLOCK_PX, MODEL, contrast, edge_log_odds
+from chromaperture.matching.planes.block_surface import NO_EDGE, depth_edges_of
+from chromaperture.matching.planes.depth_edges import BLOCK_PX, MODEL, contrast, edge_log_odds
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_rays
-from chromaperture.optics.render import render, render_depth
-from chromaperture.optics.scene import plane
-from chromaperture.optics.sensor import SensorModel, develop, expose
-from chromaperture.optics.textures import noise
+from chromaperture.optics.simulator.render import render, render_depth
+from chromaperture.optics.simulator.scene import plane
+from chromaperture.optics.simulator.sensor import SensorModel, develop, expose
+from chromaperture.optics.simulator.textures import noise
 from chromaperture.products.samples import open_sample
 
 

@@ -15,9 +15,9 @@ from PIL import Image, ImageCms
 import chromaperture as cap
 from chromaperture.calibration.session import read_session
 from chromaperture.calibration.white_sheets import measure_white_sheets
-from chromaperture.camera_file import Calibration
 from chromaperture.capture.developed import is_developed, other_colours
 from chromaperture.color.srgb import linear_to_srgb
+from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 from test_color_space import SRGB, icc, parametric
 from worlds import write_dng

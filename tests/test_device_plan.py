@@ -15,22 +15,27 @@ from hypothesis import strategies as st
 from chromaperture.app.device_plan import color_tables, light_of_counts, make_plan, make_points
 from chromaperture.app.packed_arrays import pack_array, unpack_array
 from chromaperture.app.workbench import Workbench
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_matching import default_config
-from chromaperture.camera_scale import resized
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.alignment import shift_back
 from chromaperture.color.color_maps import DISTANCE, ERROR, draw_levels
 from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.depth.pointcloud import depth_to_points
-from chromaperture.disparity.gpu.conversion_stage import add_conversion
-from chromaperture.disparity.gpu.device import Chain, open_device
-from chromaperture.disparity.gpu.picture_stages import add_colored_maps, add_light_of_counts, add_sparse_maps, row_pitch
-from chromaperture.disparity.gpu.real_time_chain import add_real_time
-from chromaperture.disparity.working_scale import reduced
-from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.matching.device.conversion_stage import add_conversion
+from chromaperture.matching.device.device import Chain, open_device
+from chromaperture.matching.device.picture_stages import (
+    add_colored_maps,
+    add_light_of_counts,
+    add_sparse_maps,
+    row_pitch,
+)
+from chromaperture.matching.device.real_time_chain import add_real_time
+from chromaperture.matching.working_scale import reduced
+from chromaperture.model.scale import resized
 from chromaperture.products.samples import sample_camera
+from chromaperture.system.errors import CaptureWarning, InputError
 from devices import needs_device
 
 NAME = "still_life_cy_halves"
@@ -40,7 +45,7 @@ SIZE_PX = (180, 120)
 @pytest.fixture(scope="module")
 def camera():
     """The sample's camera in fewer pixels."""
-    from chromaperture.camera_file import Calibration
+    from chromaperture.model.camera_file import Calibration
 
     calibration = resized(Calibration.load(sample_camera(NAME)), *SIZE_PX)
     return CodedApertureCamera(calibration, default_config(calibration, scale=1), execution="numpy")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from chromaperture.calibration.board_distances import check_units, find_outliers, fit_distances
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 DELTA = 48.0
 Z = np.linspace(950, 3950, 25)

@@ -17,16 +17,16 @@ import scipy.ndimage
 from typer.testing import CliRunner
 
 from chromaperture.cli.main import app
-from chromaperture.errors import InputError
 from chromaperture.evaluation.figures import new_figure
-from chromaperture.evaluation.paper import figure_6, figure_8, methods, registry, run, sweep, world
-from chromaperture.evaluation.paper.context import Context
-from chromaperture.evaluation.paper.exhibit import Chart, Comparison, Content, CsvTable, Exhibit
-from chromaperture.evaluation.paper.html_page import page_html
-from chromaperture.evaluation.prior import annulus, colour_lines, cross_correlation, shifts, stereo
 from chromaperture.optics.aperture import DESIGNS, centroids
 from chromaperture.optics.metrics import film_unmixing
 from chromaperture.optics.psf import geometric_otf
+from chromaperture.system.errors import InputError
+from chromaperture_paper import figure_6, figure_8, methods, registry, run, sweep, world
+from chromaperture_paper.context import Context
+from chromaperture_paper.exhibit import Chart, Comparison, Content, CsvTable, Exhibit
+from chromaperture_paper.html_page import page_html
+from chromaperture_paper.prior import annulus, colour_lines, cross_correlation, shifts, stereo
 from worlds import moved, small_trials, stored, texture
 
 LAYERS = np.arange(-4, 4.01, 0.25)

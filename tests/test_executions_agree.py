@@ -17,23 +17,23 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from chromaperture.color.noise import estimate_noise_variance
-from chromaperture.config import AccurateConfig, PaperConfig, RealTimeConfig, preset
-from chromaperture.disparity import cpu, stages
-from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.execution import Execution, execution_named
-from chromaperture.disparity.labels import IDENTITY, LabelMap, labels_between
-from chromaperture.disparity.real_time import RealTimeMethod
-from chromaperture.disparity.stages.correlation import SCORE_PARTS, exponential_window
-from chromaperture.disparity.stages.cross_filter import Tile
-from chromaperture.disparity.stages.four_paths import log_likelihood, scores_at_labels, summed_costs
-from chromaperture.disparity.stages.variation import Problem, State, step_sizes
-from chromaperture.disparity.total_variation import make_problem, smooth_disparity
-from chromaperture.disparity.views import Views, filtered_views, halved_views
-from chromaperture.disparity.whole_light import in_whole_units
-from chromaperture.disparity.winner import PathWinner, Surface
-from chromaperture.errors import InputError
+from chromaperture.matching import compiled as cpu
+from chromaperture.matching import readable as stages
+from chromaperture.matching.estimate import estimate_disparity
+from chromaperture.matching.execution import Execution, execution_named
+from chromaperture.matching.labels import IDENTITY, LabelMap, labels_between
+from chromaperture.matching.readable.correlation import SCORE_PARTS, exponential_window
+from chromaperture.matching.readable.cross_filter import Tile
+from chromaperture.matching.readable.four_paths import log_likelihood, scores_at_labels, summed_costs
+from chromaperture.matching.readable.variation import Problem, State, step_sizes
+from chromaperture.matching.real_time import RealTimeMethod
+from chromaperture.matching.total_variation import make_problem, smooth_disparity
+from chromaperture.matching.views import Views, filtered_views, halved_views
+from chromaperture.matching.whole_light import in_whole_units
+from chromaperture.matching.winner import PathWinner, Surface
 from chromaperture.optics.lens_blur import BlurModel, Rays, splat
-from chromaperture.stage_config import (
+from chromaperture.settings.methods import AccurateConfig, PaperConfig, RealTimeConfig, preset
+from chromaperture.settings.stages import (
     BilateralConfig,
     CorrelationConfig,
     FourPathsConfig,
@@ -41,7 +41,8 @@ from chromaperture.stage_config import (
     SurfaceConfig,
     ViewsConfig,
 )
-from chromaperture.threads import limited_threads
+from chromaperture.system.errors import InputError
+from chromaperture.system.threads import limited_threads
 from worlds import NARROW, lens_blur, space_of, wavy_capture
 
 SLOW, FAST = execution_named("numpy"), execution_named("numba")
@@ -736,9 +737,9 @@ package.__path__ = [{package!r}]
 sys.modules["chromaperture"] = package
 
 import numpy as np
-from chromaperture.config import AccurateConfig, PaperConfig, RealTimeConfig, preset
-from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.labels import IDENTITY
+from chromaperture.settings.methods import AccurateConfig, PaperConfig, RealTimeConfig, preset
+from chromaperture.matching.estimate import estimate_disparity
+from chromaperture.matching.labels import IDENTITY
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 

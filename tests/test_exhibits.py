@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from chromaperture.depth.conversion import depth_to_disparity
-from chromaperture.errors import InputError
-from chromaperture.evaluation.paper import bench_prior, figure_15, methods, stereo_pair, trial, world
+from chromaperture.system.errors import InputError
+from chromaperture_paper import bench_prior, figure_15, methods, stereo_pair, trial, world
 from worlds import INFINITY_PX, PUPIL_MM, RULERS_MM, SCALE_PX_MM, moved, texture
 
 # Figure 15

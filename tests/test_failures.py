@@ -28,8 +28,8 @@ import typer
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.cli.main import app
 from chromaperture.depth.field import DepthField
-from chromaperture.errors import InputError, OutOfMemoryError, within_memory
-from chromaperture.threads import begun, beside, check_environment, in_parallel, parallel_map
+from chromaperture.system.errors import InputError, OutOfMemoryError, within_memory
+from chromaperture.system.threads import begun, beside, check_environment, in_parallel, parallel_map
 from worlds import capture, content, halves_camera, texture
 
 ROOT = Path(__file__).parents[1]
@@ -369,7 +369,7 @@ def child(code: str, *, timeout=300, environment=None, **options):
 
 STAGING = """
 import sys, time
-from chromaperture.storage import staged
+from chromaperture.system.storage import staged
 with staged(sys.argv[1]) as stage:
     stage.path("a.txt").write_text("half")
     print("begun", flush=True)
@@ -437,7 +437,7 @@ def test_sigterm_cleans_up(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("module", ["chromaperture.threads", "rich", "chromaperture.cli.simulate"])
+@pytest.mark.parametrize("module", ["chromaperture.system.threads", "rich", "chromaperture.cli.simulate"])
 def test_ctrl_c_while_the_program_is_loaded(module):
     assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["scripts"] == {
         "chromaperture": "chromaperture.__main__:main"
@@ -464,7 +464,7 @@ def test_too_little_memory_is_one_line(small, tmp_path):
     ended = child(f"""
 import resource, sys
 from chromaperture.__main__ import main
-import chromaperture.cli.main, chromaperture.products.measure_file, chromaperture.disparity.cpu.strips
+import chromaperture.cli.main, chromaperture.products.measure_file, chromaperture.matching.compiled.strips
 pages = int(open("/proc/self/statm").read().split()[0])
 resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + 150_000_000,) * 2)
 sys.argv = ["chromaperture", "depth", "{tmp_path}/large.png", "--design", "cy_halves", "--out", "{tmp_path}/out"]

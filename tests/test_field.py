@@ -11,7 +11,7 @@ from chromaperture.calibration.fit_local_fields import with_local
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.field import DepthField, degree_of, polynomials
 from chromaperture.depth.nonlinearity import Nonlinearity
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 WIDTH, HEIGHT = 61, 41
 DELTA = 50.0

@@ -22,8 +22,8 @@ from chromaperture.capture.checks import check_capture
 from chromaperture.capture.exif import Exif, read_exif
 from chromaperture.capture.files import decode, image_size, linearise, read_image
 from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
-from chromaperture.errors import CaptureWarning, InputError
 from chromaperture.products.samples import sample_camera
+from chromaperture.system.errors import CaptureWarning, InputError
 
 
 @pytest.fixture
@@ -334,7 +334,7 @@ def test_libraries_log_nothing_before_the_one_line(tmp_path):
         import sys
         from chromaperture.capture.exif import read_exif
         from chromaperture.capture.files import read_image
-        from chromaperture.errors import InputError
+        from chromaperture.system.errors import InputError
         for path in sys.argv[1:]:
             read_exif(path)
             try: read_image(path)

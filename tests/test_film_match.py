@@ -7,11 +7,11 @@ import sys
 import numpy as np
 import pytest
 
-from chromaperture.camera_file import Calibration
 from chromaperture.capture.files import read_image
 from chromaperture.cli.main import main
 from chromaperture.color.film_match import match_film
 from chromaperture.evaluation.health import film_match
+from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import sample_camera, sample_image
 
 HALVES, OPEN = "still_life_cy_halves", "still_life_cy_open"

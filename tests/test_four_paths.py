@@ -5,9 +5,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from chromaperture.disparity.stages.four_paths import summed_costs
-from chromaperture.disparity.stages.paths import PathPenalties, path_costs
-from chromaperture.stage_config import FourPathsConfig
+from chromaperture.matching.readable.four_paths import summed_costs
+from chromaperture.matching.readable.paths import PathPenalties, path_costs
+from chromaperture.settings.stages import FourPathsConfig
 
 
 def link(guide, here, there, paths):

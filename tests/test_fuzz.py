@@ -2,7 +2,7 @@
 
 import pytest
 
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 from fuzz.mutants import mutant
 from fuzz.readers import READERS
 

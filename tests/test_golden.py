@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from chromaperture.camera import CodedApertureCamera, load_camera
+from chromaperture.camera.camera import CodedApertureCamera, load_camera
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 
 DATA = Path(__file__).parent / "data"

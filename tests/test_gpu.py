@@ -13,24 +13,24 @@ import numpy as np
 import pytest
 import tifffile
 
-from chromaperture.camera import CodedApertureCamera, load_camera
-from chromaperture.camera_matching import default_config
-from chromaperture.config import PaperConfig, RealTimeConfig
+from chromaperture.camera.camera import CodedApertureCamera, load_camera
+from chromaperture.camera.method import default_config
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.disparity.estimate import method_for
-from chromaperture.disparity.gpu import device as device_file
-from chromaperture.disparity.gpu.device import AdapterInfo, DeviceError, adapters, open_device
-from chromaperture.disparity.gpu.gpu_method import DeviceMethod, GpuMethod, chosen_device, on_device
-from chromaperture.disparity.gpu.measured import Further
-from chromaperture.disparity.labels import IDENTITY
-from chromaperture.errors import (
+from chromaperture.matching.device import device as device_file
+from chromaperture.matching.device.device import AdapterInfo, DeviceError, adapters, open_device
+from chromaperture.matching.device.gpu_method import DeviceMethod, GpuMethod, chosen_device, on_device
+from chromaperture.matching.device.measured import Further
+from chromaperture.matching.estimate import method_for
+from chromaperture.matching.labels import IDENTITY
+from chromaperture.settings.methods import PaperConfig, RealTimeConfig
+from chromaperture.settings.stages import CorrelationConfig
+from chromaperture.system.errors import (
     CaptureWarning,
     ChromapertureError,
     InputError,
     MissingDependencyError,
     OutOfMemoryError,
 )
-from chromaperture.stage_config import CorrelationConfig
 from devices import EXPECTED, needs_device
 from worlds import INFINITY_PX, PUPIL_MM, SCALE_PX_MM, halves_camera, wavy_capture
 
@@ -237,9 +237,9 @@ def test_two_processes_share_a_device(tmp_path):
     np.save(tmp_path / "image.npy", image)
     program = (
         "import sys, numpy as np\n"
-        "from chromaperture.config import RealTimeConfig\n"
-        "from chromaperture.disparity.estimate import method_for\n"
-        "from chromaperture.disparity.gpu.gpu_method import on_device\n"
+        "from chromaperture.settings.methods import RealTimeConfig\n"
+        "from chromaperture.matching.estimate import method_for\n"
+        "from chromaperture.matching.device.gpu_method import on_device\n"
         "method = method_for(RealTimeConfig().with_range(-4.0, 4.0), aperture='cy_halves', execution='numpy')\n"
         "found = on_device(method, 'gpu', lambda note: None).match(np.load(sys.argv[1] + '/image.npy'))\n"
         "np.save(sys.argv[1] + '/found.npy', found.value_px)\n"
@@ -292,7 +292,7 @@ def test_auto_takes_the_first_real_device(monkeypatch):
     asked = []
     real = NO_GPU._replace(name="Real", kind="IntegratedGPU")
     monkeypatch.setattr(device_file, "_found_adapters", lambda: [(real, None), (NO_GPU, None)])
-    monkeypatch.setattr("chromaperture.disparity.gpu.gpu_method.open_device", asked.append)
+    monkeypatch.setattr("chromaperture.matching.device.gpu_method.open_device", asked.append)
     chosen_device("auto")
     assert asked == ["gpu"]
 

@@ -7,17 +7,17 @@ import cv2
 import numpy as np
 import pytest
 
-from chromaperture import camera_memory
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.config import AccurateConfig
-from chromaperture.disparity.estimate import method_for
-from chromaperture.disparity.gpu.accurate_chain import AccurateOnDevice
-from chromaperture.disparity.gpu.device import DeviceError
-from chromaperture.disparity.gpu.gpu_method import DeviceMethod
-from chromaperture.disparity.gpu.measured import Further
-from chromaperture.disparity.labels import IDENTITY
-from chromaperture.errors import CaptureWarning, InputError, OutOfMemoryError
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.camera import memory as camera_memory
+from chromaperture.matching.device.accurate_chain import AccurateOnDevice
+from chromaperture.matching.device.device import DeviceError
+from chromaperture.matching.device.gpu_method import DeviceMethod
+from chromaperture.matching.device.measured import Further
+from chromaperture.matching.estimate import method_for
+from chromaperture.matching.labels import IDENTITY
 from chromaperture.products.samples import open_sample
+from chromaperture.settings.methods import AccurateConfig
+from chromaperture.system.errors import CaptureWarning, InputError, OutOfMemoryError
 from test_gpu import device_of_its_own
 from test_gpu_surface import any_device
 from worlds import wavy_capture

@@ -12,16 +12,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_alignment import ChannelAlignment
-from chromaperture.camera_matching import default_config
+from chromaperture.camera.alignment import ChannelAlignment
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
 from chromaperture.color.alignment import align_channels, fill_unknown, white_balance
 from chromaperture.color.visibility import visible_from
-from chromaperture.disparity.gpu.alignment_stage import Alignment, add_alignment
-from chromaperture.disparity.gpu.device import Chain, open_device
-from chromaperture.disparity.gpu.measured import Further, add_further
-from chromaperture.errors import CaptureWarning
+from chromaperture.matching.device.alignment_stage import Alignment, add_alignment
+from chromaperture.matching.device.device import Chain, open_device
+from chromaperture.matching.device.measured import Further, add_further
 from chromaperture.products.samples import open_sample
+from chromaperture.system.errors import CaptureWarning
 from devices import needs_device
 
 pytestmark = [pytest.mark.extra("gpu", "wgpu"), needs_device]

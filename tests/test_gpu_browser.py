@@ -14,17 +14,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from chromaperture.config import RealTimeConfig
-from chromaperture.disparity.estimate import method_for
-from chromaperture.disparity.gpu.conversion_stage import Conversion
-from chromaperture.disparity.gpu.device import Chain, open_device
-from chromaperture.disparity.gpu.gpu_method import GpuMethod
-from chromaperture.disparity.gpu.measured import NOTHING, Further
-from chromaperture.disparity.gpu.refocus_stages import RefocusChain, inputs_of
-from chromaperture.disparity.gpu.surface_stages import Grid, add_block_sums, add_path_surface
-from chromaperture.disparity.labels import IDENTITY
 from chromaperture.effects.refocusing import Focus, refocus
-from chromaperture.stage_config import SurfaceConfig
+from chromaperture.matching.device.conversion_stage import Conversion
+from chromaperture.matching.device.device import Chain, open_device
+from chromaperture.matching.device.gpu_method import GpuMethod
+from chromaperture.matching.device.measured import NOTHING, Further
+from chromaperture.matching.device.refocus_stages import RefocusChain, inputs_of
+from chromaperture.matching.device.surface_stages import Grid, add_block_sums, add_path_surface
+from chromaperture.matching.estimate import method_for
+from chromaperture.matching.labels import IDENTITY
+from chromaperture.settings.methods import RealTimeConfig
+from chromaperture.settings.stages import SurfaceConfig
 from devices import EXPECTED, needs_device
 from test_gpu_alignment import camera_of, chain_behind_disparity
 from test_gpu_surface import device_as, volume

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from chromaperture.disparity.blur_evidence import BlurEvidence
-from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.labels import IDENTITY, LabelMap
-from chromaperture.disparity.result import ESTIMATED_NOISE, NoiseModel
+from chromaperture.matching.evidence.blur import BlurEvidence
+from chromaperture.matching.execution import execution_named
+from chromaperture.matching.labels import IDENTITY, LabelMap
+from chromaperture.matching.result import ESTIMATED_NOISE, NoiseModel
 from chromaperture.optics.lens_blur import BlurModel
-from chromaperture.stage_config import CrossFilterConfig
+from chromaperture.settings.stages import CrossFilterConfig
 from test_gpu_surface import any_device
 from worlds import blurred, lens_blur
 
@@ -24,10 +24,10 @@ class Case:
     """
 
     def __init__(self, design, shape, noise, label_map, *, half_range=5, gains=(1, 1, 1), config=None):
-        from chromaperture.disparity.gpu.device import Chain
-        from chromaperture.disparity.gpu.evidence_plan import plan_evidence
-        from chromaperture.disparity.gpu.evidence_stages import add_evidence
-        from chromaperture.disparity.gpu.label_stages import add_labels
+        from chromaperture.matching.device.device import Chain
+        from chromaperture.matching.device.evidence_plan import plan_evidence
+        from chromaperture.matching.device.evidence_stages import add_evidence
+        from chromaperture.matching.device.label_stages import add_labels
 
         height, width = shape
         self.blur = lens_blur(LENS, width, height, design)
@@ -124,8 +124,8 @@ def test_channels_that_fall_where_others_rise_are_evidence_too(design, secondary
 # One to three passes behind the first, every radix of `fourier.wgsl`; 1024 is the longest line.
 @pytest.mark.parametrize("span", [6, 20, 40, 48, 54, 64, 90, 108, 160, 192, 256, 432, 1000, 1024])
 def test_transforms_of_every_radix_are_those_of_numpy(span, rng):
-    from chromaperture.disparity.gpu.device import Chain
-    from chromaperture.disparity.gpu.evidence_stages import add_transform
+    from chromaperture.matching.device.device import Chain
+    from chromaperture.matching.device.evidence_stages import add_transform
 
     height, kept = 8, span // 2
     image, shading = rng.normal(0, 1, (2, height, span, 3)).astype(np.float32)
@@ -145,7 +145,7 @@ def test_transforms_of_every_radix_are_those_of_numpy(span, rng):
 
 def test_layers_in_rounds_are_the_same(monkeypatch):
     """Where memory holds few layers at once, they go through one after the other."""
-    from chromaperture.disparity.gpu import evidence_plan
+    from chromaperture.matching.device import evidence_plan
 
     whole = Case("cy_halves", (40, 44), True, IDENTITY).run("correlation")["correlation"]
     sizes = []
@@ -158,8 +158,8 @@ def test_layers_in_rounds_are_the_same(monkeypatch):
 
 
 def test_tiles_that_are_too_large_are_refused():
-    from chromaperture.disparity.gpu.device import DeviceError
-    from chromaperture.disparity.gpu.evidence_plan import plan_evidence
+    from chromaperture.matching.device.device import DeviceError
+    from chromaperture.matching.device.evidence_plan import plan_evidence
 
     source = BlurEvidence(
         CrossFilterConfig(), lens_blur(LENS, 6000, 4000), IDENTITY, ESTIMATED_NOISE, execution_named("numpy")

@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.disparity.gpu.device import DeviceError, open_device
-from chromaperture.disparity.gpu.refocus_stages import RefocusChain
+from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.effects.refocus_device import DeviceCompositor, compositor_of
 from chromaperture.effects.refocusing import Focus, refocus
-from chromaperture.errors import CaptureWarning, OutOfMemoryError
+from chromaperture.matching.device.device import DeviceError, open_device
+from chromaperture.matching.device.refocus_stages import RefocusChain
 from chromaperture.products.samples import open_sample
+from chromaperture.system.errors import CaptureWarning, OutOfMemoryError
 from devices import needs_device
 from test_gpu import device_of_its_own
 

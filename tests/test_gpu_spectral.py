@@ -5,16 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.disparity import stages
-from chromaperture.disparity.blur_evidence import BlurEvidence
-from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.labels import IDENTITY
-from chromaperture.disparity.result import NoiseModel
-from chromaperture.disparity.spectral_evidence import SpectralEvidence
-from chromaperture.disparity.spectral_model import Windows
-from chromaperture.disparity.stages.tiles import without_shading
-from chromaperture.spectral_config import SpectralConfig
-from chromaperture.stage_config import CrossFilterConfig
+from chromaperture.matching import readable as stages
+from chromaperture.matching.evidence.blur import BlurEvidence
+from chromaperture.matching.evidence.spectral import SpectralEvidence
+from chromaperture.matching.evidence.spectral_model import Windows
+from chromaperture.matching.execution import execution_named
+from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.readable.tiles import without_shading
+from chromaperture.matching.result import NoiseModel
+from chromaperture.settings.stages import CrossFilterConfig, SpectralConfig
 from test_gpu_evidence import LENS, bent
 from test_gpu_surface import any_device, device_as
 from test_spectral_evidence import example
@@ -46,8 +45,8 @@ def picture(source, seed):
 @settings(max_examples=4, deadline=None)
 @given(st.sampled_from([(8.0, 10), (11.0, 7)]), st.integers(0, 2**32 - 1))
 def test_spectra_agree(window, seed):
-    from chromaperture.disparity.gpu.device import Chain
-    from chromaperture.disparity.gpu.spectral_stages import WindowGrid, add_spectra
+    from chromaperture.matching.device.device import Chain
+    from chromaperture.matching.device.spectral_stages import WindowGrid, add_spectra
 
     source = source_for(IDENTITY, SpectralConfig(taper_px=window[0], stride_px=window[1]))
     image = picture(source, seed)
@@ -65,8 +64,8 @@ def test_spectra_agree(window, seed):
 
 def likelihood_on_device(spectra, powers, node, noise, config, *, as_software=True):
     """In the form for software, where one invocation has a window, or in that for GPUs, where eight share it."""
-    from chromaperture.disparity.gpu.device import Chain
-    from chromaperture.disparity.gpu.spectral_stages import add_likelihood
+    from chromaperture.matching.device.device import Chain
+    from chromaperture.matching.device.spectral_stages import add_likelihood
 
     chain = Chain(device_as(software=as_software))
     parts = np.stack([spectra.real, spectra.imag], axis=2)
@@ -115,8 +114,8 @@ def test_likelihoods_of_alike_colours_agree(seed):
 
 @pytest.mark.parametrize("label_map", [IDENTITY, bent(SHAPE)])
 def test_what_labels_earn_agrees(label_map):
-    from chromaperture.disparity.gpu.device import Chain
-    from chromaperture.disparity.gpu.spectral_stages import WindowGrid, add_windows
+    from chromaperture.matching.device.device import Chain
+    from chromaperture.matching.device.spectral_stages import WindowGrid, add_windows
 
     source = source_for(label_map)
     layers = np.arange(-9, 10) * 0.9 * source.pairs.blur.reach

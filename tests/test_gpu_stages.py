@@ -12,26 +12,26 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from chromaperture.config import PaperConfig, RealTimeConfig
 from chromaperture.depth.conversion import DepthModel, depth_and_sigma
 from chromaperture.depth.field import DepthField, LocalField
-from chromaperture.disparity import stages
-from chromaperture.disparity.error_bar import without_two_views
-from chromaperture.disparity.estimate import method_for
-from chromaperture.disparity.gpu import cell_stages, correlation_stages, shader_text
-from chromaperture.disparity.gpu.conversion_stage import Conversion, add_conversion
-from chromaperture.disparity.gpu.device import Chain, Device, open_device
-from chromaperture.disparity.gpu.layers_by_four import sliding
-from chromaperture.disparity.gpu.paper_chain import add_paper
-from chromaperture.disparity.gpu.real_time_chain import add_real_time, add_recursions
-from chromaperture.disparity.gpu.stage_timing import pass_times_ms, stage_times_ms
-from chromaperture.disparity.gpu.view_stages import Planes, add_views
-from chromaperture.disparity.labels import IDENTITY, LabelMap, labels_between
-from chromaperture.disparity.stages.correlation import SCORE_PARTS, exponential_window
-from chromaperture.disparity.stages.place import halved_surface, place_by_correlation
-from chromaperture.disparity.unlike_views import CELL_PX, mixed_share, unlike_share
-from chromaperture.disparity.views import FILL_UNITS, Views, filtered_views, halved_views
-from chromaperture.disparity.winner import PathWinner, Surface
+from chromaperture.matching import readable as stages
+from chromaperture.matching.device import cell_stages, correlation_stages, shader_text
+from chromaperture.matching.device.conversion_stage import Conversion, add_conversion
+from chromaperture.matching.device.device import Chain, Device, open_device
+from chromaperture.matching.device.layers_by_four import sliding
+from chromaperture.matching.device.paper_chain import add_paper
+from chromaperture.matching.device.real_time_chain import add_real_time, add_recursions
+from chromaperture.matching.device.stage_timing import pass_times_ms, stage_times_ms
+from chromaperture.matching.device.view_stages import Planes, add_views
+from chromaperture.matching.error_bar import without_two_views
+from chromaperture.matching.estimate import method_for
+from chromaperture.matching.labels import IDENTITY, LabelMap, labels_between
+from chromaperture.matching.readable.correlation import SCORE_PARTS, exponential_window
+from chromaperture.matching.readable.place import halved_surface, place_by_correlation
+from chromaperture.matching.unlike_views import CELL_PX, mixed_share, unlike_share
+from chromaperture.matching.views import FILL_UNITS, Views, filtered_views, halved_views
+from chromaperture.matching.winner import PathWinner, Surface
+from chromaperture.settings.methods import PaperConfig, RealTimeConfig
 from devices import needs_device
 from worlds import wavy_capture
 

@@ -9,14 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.config import AccurateConfig
-from chromaperture.disparity import stages
-from chromaperture.disparity.accurate import PathSurface, path_surface
-from chromaperture.disparity.block_surface import block_sums
-from chromaperture.disparity.depth_edges import BLOCK_PX
-from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.stages.paths import Posterior
-from chromaperture.stage_config import SurfaceConfig
+from chromaperture.matching import readable as stages
+from chromaperture.matching.accurate import PathSurface, path_surface
+from chromaperture.matching.execution import execution_named
+from chromaperture.matching.planes.block_surface import block_sums
+from chromaperture.matching.planes.depth_edges import BLOCK_PX
+from chromaperture.matching.readable.paths import Posterior
+from chromaperture.settings.methods import AccurateConfig
+from chromaperture.settings.stages import SurfaceConfig
 from devices import EXPECTED
 
 pytestmark = pytest.mark.extra("gpu", "wgpu")
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.extra("gpu", "wgpu")
 
 def any_device():
     """Any device: a rasteriser in software where there is no GPU."""
-    from chromaperture.disparity.gpu.device import DeviceError, open_device
+    from chromaperture.matching.device.device import DeviceError, open_device
 
     try:
         return open_device()
@@ -51,8 +51,8 @@ def volume(rng, height, width, count):
 
 
 def path_costs(likelihood, guide, layers, config, **options):
-    from chromaperture.disparity.gpu.device import Chain
-    from chromaperture.disparity.gpu.surface_stages import Grid, add_paths
+    from chromaperture.matching.device.device import Chain
+    from chromaperture.matching.device.surface_stages import Grid, add_paths
 
     chain = Chain(any_device())
     arrays = [chain.array(name, likelihood[..., :n].size) for name, n in (("l", None), ("g", 1), ("t", None))]
@@ -80,8 +80,8 @@ def test_path_costs_agree(size, seed):
 
 def path_surface_on_device(likelihood, guide, layers, config):
     """Label, mean and variance of the posterior, and sums of blocks, as `accurate.path_surface` has them."""
-    from chromaperture.disparity.gpu.device import Chain
-    from chromaperture.disparity.gpu.surface_stages import Grid, add_block_sums, add_path_surface
+    from chromaperture.matching.device.device import Chain
+    from chromaperture.matching.device.surface_stages import Grid, add_block_sums, add_path_surface
 
     chain, grid = Chain(any_device()), Grid(*likelihood.shape)
     arrays = [chain.array(name, n) for name, n in (("likelihood", grid.size), ("guide", grid.pixels))]
@@ -122,8 +122,8 @@ def test_pictures_of_one_row_of_blocks_or_none(rng, shape):
 @pytest.mark.parametrize(("sigma", "planes", "parts"), [(1.5, 1, 2), (4.0, 3, 3)])
 @pytest.mark.parametrize("shape", [(19, 30), (1, 13), (40, 1)])
 def test_gaussians_are_those_of_opencv(rng, shape, planes, parts, sigma):
-    from chromaperture.disparity.gpu.device import Chain
-    from chromaperture.disparity.gpu.surface_stages import add_gaussian, gaussian_taps
+    from chromaperture.matching.device.device import Chain
+    from chromaperture.matching.device.surface_stages import add_gaussian, gaussian_taps
 
     values = rng.normal(size=(planes, *shape, parts)).astype(np.float32)
     chain = Chain(any_device())

@@ -10,19 +10,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.config import AccurateConfig, PaperConfig, RealTimeConfig
-from chromaperture.disparity import stages
-from chromaperture.disparity.estimate import method_for
-from chromaperture.disparity.gpu.accurate_chain import AccurateOnDevice
-from chromaperture.disparity.gpu.device import Chain, open_device
-from chromaperture.disparity.gpu.gpu_method import DeviceMethod, GpuMethod, on_device
-from chromaperture.disparity.gpu.working_stages import Reduction, add_reduced, add_upsampled
-from chromaperture.disparity.result import Disparity
-from chromaperture.disparity.stages.upsample import Coarse
-from chromaperture.disparity.views import guide_weights
-from chromaperture.disparity.working_scale import ScaledMethod, coarse_maps, reduced
-from chromaperture.errors import InputError
+from chromaperture.matching import readable as stages
+from chromaperture.matching.device.accurate_chain import AccurateOnDevice
+from chromaperture.matching.device.device import Chain, open_device
+from chromaperture.matching.device.gpu_method import DeviceMethod, GpuMethod, on_device
+from chromaperture.matching.device.working_stages import Reduction, add_reduced, add_upsampled
+from chromaperture.matching.estimate import method_for
+from chromaperture.matching.readable.upsample import Coarse
+from chromaperture.matching.result import Disparity
+from chromaperture.matching.views import guide_weights
+from chromaperture.matching.working_scale import ScaledMethod, coarse_maps, reduced
 from chromaperture.optics.aperture import design_named
+from chromaperture.settings.methods import AccurateConfig, PaperConfig, RealTimeConfig
+from chromaperture.system.errors import InputError
 from devices import needs_device
 from worlds import wavy_capture
 

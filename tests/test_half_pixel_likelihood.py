@@ -5,24 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chromaperture.config import AccurateConfig
-from chromaperture.disparity.accurate import AccurateMethod
-from chromaperture.disparity.blur_evidence import BlurEvidence
-from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.gpu.gpu_method import on_device
-from chromaperture.disparity.half_pixel_likelihood import (
+from chromaperture.matching.accurate import AccurateMethod
+from chromaperture.matching.device.gpu_method import on_device
+from chromaperture.matching.evidence.blur import BlurEvidence
+from chromaperture.matching.evidence.half_pixels import (
     half_pixel_likelihood,
     noise_of_frequencies,
     of_equal_light,
     sum_and_difference,
 )
-from chromaperture.disparity.labels import IDENTITY
-from chromaperture.disparity.result import NoiseModel
-from chromaperture.disparity.spectral_evidence import SpectralEvidence
-from chromaperture.disparity.views import view_spaces
+from chromaperture.matching.evidence.spectral import SpectralEvidence
+from chromaperture.matching.execution import execution_named
+from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.result import NoiseModel
+from chromaperture.matching.views import view_spaces
 from chromaperture.optics.aperture import design_named
 from chromaperture.optics.lens_blur import BlurModel
-from chromaperture.spectral_config import SpectralConfig
+from chromaperture.settings.methods import AccurateConfig
+from chromaperture.settings.stages import SpectralConfig
 from worlds import lens_blur
 
 W, H = 144, 96

@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_parts import Board
 from chromaperture.capture.exif import Exif, read_exif
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.errors import InputError
 from chromaperture.evaluation.health import check_camera, is_healthy, outcome
 from chromaperture.evaluation.tint import measure_tint
+from chromaperture.model.camera_file import Calibration
+from chromaperture.model.camera_parts import Board
 from chromaperture.optics.aperture import DESIGNS, centroids, made_of
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.prescription import load_lens, with_filter_at
 from chromaperture.optics.ray_table import lens_rays, pinhole_rays
-from chromaperture.optics.render import render
-from chromaperture.optics.scene import plane
-from chromaperture.optics.simulated_session import wall
+from chromaperture.optics.simulator.render import render
+from chromaperture.optics.simulator.scene import plane
+from chromaperture.optics.simulator.session import wall
+from chromaperture.system.errors import InputError
 from worlds import halves_camera
 
 WIDTH, HEIGHT = 300, 200

@@ -11,8 +11,8 @@ import zlib
 import numpy as np
 import pytest
 
-from chromaperture.camera_file import Calibration
-from chromaperture.errors import InputError
+from chromaperture.model.camera_file import Calibration
+from chromaperture.system.errors import InputError
 from test_camera_file import make_calibration
 
 
@@ -162,8 +162,8 @@ def test_two_megabytes_that_unpack_to_two_gigabytes_take_no_memory(good):
     with_text(good, r"shape: \[2, 3\]", "shape: [12500, 10000]")
     program = (
         "import resource, sys\n"
-        "from chromaperture.camera_file import Calibration\n"
-        "from chromaperture.errors import InputError\n"
+        "from chromaperture.model.camera_file import Calibration\n"
+        "from chromaperture.system.errors import InputError\n"
         "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         "try: Calibration.load(sys.argv[1])\n"
         "except InputError: print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)\n"

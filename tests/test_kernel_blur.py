@@ -8,13 +8,13 @@ import scipy.fft
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chromaperture.config import AccurateConfig
-from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.errors import InputError
+from chromaperture.matching.estimate import estimate_disparity
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.kernel_blur import blur_from_kernels
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.lens_otf import traced
+from chromaperture.settings.methods import AccurateConfig
+from chromaperture.system.errors import InputError
 from worlds import kernel_places, painted_kernels
 
 W, H = 240, 160

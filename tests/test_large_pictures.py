@@ -9,20 +9,21 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from chromaperture import camera_memory, memory
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
-from chromaperture.camera_memory import fitting_jobs, needed_bytes
-from chromaperture.camera_scale import accurate_scale, at_scale, working_scale
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.camera import memory as camera_memory
+from chromaperture.camera.memory import fitting_jobs, needed_bytes
+from chromaperture.camera.method import default_config
 from chromaperture.capture.files import read_image
 from chromaperture.cli.depth import jobs_in_memory
 from chromaperture.cli.options import working_scale as option
 from chromaperture.cli.setup import camera_for
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity
-from chromaperture.errors import CaptureWarning, InputError, OutOfMemoryError
+from chromaperture.model.camera_file import Calibration
+from chromaperture.model.scale import accurate_scale, at_scale, working_scale
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.products.rectified import undistorter
+from chromaperture.system import memory
+from chromaperture.system.errors import CaptureWarning, InputError, OutOfMemoryError
 from worlds import capture, halves_camera, texture
 
 WIDTH, HEIGHT, SCALE = 768, 512, 4

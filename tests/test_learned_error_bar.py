@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.disparity import learned_error_bar
-from chromaperture.disparity.block_surface import BlockSurface
-from chromaperture.disparity.learned_error_bar import SHIFTS, Weights, learned_bar, signs, weights
-from chromaperture.disparity.plane_regions import Regions
+from chromaperture.matching import learned_error_bar
+from chromaperture.matching.learned_error_bar import SHIFTS, Weights, learned_bar, signs, weights
+from chromaperture.matching.planes.block_surface import BlockSurface
+from chromaperture.matching.planes.regions import Regions
 
 TRAINING = Path(__file__).parents[1] / "benchmarks" / "error_bar_training.py"
 SHAPE = 20, 26  # blocks

@@ -7,13 +7,13 @@ import cv2
 import numpy as np
 import pytest
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
 from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.effects.restore import focus_radius, restore
 from chromaperture.effects.transfer_functions import LensTransfer, ThinLensBlur
+from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.optics.lens_otf import ChannelRays, traced

@@ -11,18 +11,18 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from chromaperture.camera import load_camera
+from chromaperture.app.live.loop import LiveLoop
+from chromaperture.app.live.pictures import depth_picture
+from chromaperture.app.live.slots import Slot
+from chromaperture.app.live.trail import Trail
+from chromaperture.camera.camera import load_camera
 from chromaperture.capture.recording import Recorder, ReplaySource
 from chromaperture.capture.source import Event, FileSource, Frame
 from chromaperture.capture.threaded_source import DeviceLostError, LiveSource
 from chromaperture.color.color_maps import UNKNOWN
 from chromaperture.color.encoding import Encoding
-from chromaperture.errors import InputError
 from chromaperture.products.samples import sample_camera, sample_image
-from chromaperture.viewer.loop import LiveLoop
-from chromaperture.viewer.pictures import depth_picture
-from chromaperture.viewer.slots import Slot
-from chromaperture.viewer.trail import Trail
+from chromaperture.system.errors import InputError
 
 WAIT_S = 60.0  # an upper bound for a busy machine; nothing waits so long
 

@@ -21,19 +21,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chromaperture.camera import load_camera
+from chromaperture.app.live.access import Access, serve
+from chromaperture.app.live.controls import ControlLimits, Limits
+from chromaperture.app.live.live_scene import first_view
+from chromaperture.app.live.loop import LiveLoop
+from chromaperture.app.live.page import LivePage, depth_line, tracking_line
+from chromaperture.app.live.probe import encode_values, values_html
+from chromaperture.camera.camera import load_camera
 from chromaperture.capture.files import read_image
 from chromaperture.capture.source import FileSource, Frame
 from chromaperture.color.encoding import Encoding
-from chromaperture.errors import InputError
 from chromaperture.products.samples import sample_camera, sample_image
 from chromaperture.reconstruction.fusion import Placed
-from chromaperture.viewer.access import Access, serve
-from chromaperture.viewer.controls import ControlLimits, Limits
-from chromaperture.viewer.live_scene import first_view
-from chromaperture.viewer.loop import LiveLoop
-from chromaperture.viewer.page import LivePage, depth_line, tracking_line
-from chromaperture.viewer.probe import encode_values, values_html
+from chromaperture.system.errors import InputError
 
 WAIT_S = 60.0  # an upper bound for a busy machine; nothing waits so long
 NAME = "still_life_cy_halves"

@@ -16,23 +16,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from chromaperture.camera import load_camera
+from chromaperture.app.live.loop import LiveLoop
+from chromaperture.app.live.notices import RareNotices
+from chromaperture.app.live.old_submaps import forget_old
+from chromaperture.app.live.slots import Slot
+from chromaperture.app.live.watchdog import Watchdog
+from chromaperture.camera.camera import load_camera
 from chromaperture.capture import playback
 from chromaperture.capture.recording import Recorder, ReplaySource
 from chromaperture.capture.source import Event, FileSource, Frame
 from chromaperture.capture.threaded_source import LiveSource, StreamEndedError
 from chromaperture.cli import streams
 from chromaperture.color.encoding import Encoding
-from chromaperture.errors import InputError
 from chromaperture.products.samples import sample_camera
 from chromaperture.reconstruction.fusion import Submap
 from chromaperture.reconstruction.tracking import Keyframe
 from chromaperture.reconstruction.volume import Mesh
-from chromaperture.viewer.loop import LiveLoop
-from chromaperture.viewer.notices import RareNotices
-from chromaperture.viewer.old_submaps import forget_old
-from chromaperture.viewer.slots import Slot
-from chromaperture.viewer.watchdog import Watchdog
+from chromaperture.system.errors import InputError
 
 WAIT_S = 60.0  # an upper bound for a busy machine; nothing waits so long
 SHORT_S = 0.05  # until a stage counts as hanging: less than any of them is held up here
@@ -165,7 +165,7 @@ def test_a_watchdog_without_end_says_nothing_and_one_without_patience_is_refused
 
 @pytest.mark.extra("viewer", "viser")
 def test_the_page_names_the_stage_that_hangs_although_no_frame_comes(tmp_path):
-    from chromaperture.viewer.page import LivePage
+    from chromaperture.app.live.page import LivePage
     from test_live_page import browser, look
 
     source = Camera()
@@ -190,7 +190,7 @@ def test_the_page_names_the_stage_that_hangs_although_no_frame_comes(tmp_path):
 @pytest.mark.extra("viewer", "viser")
 @pytest.mark.parametrize("held_up", ["paused", "source"])
 def test_a_page_without_frames_ends_at_its_time(tmp_path, held_up):
-    from chromaperture.viewer.page import LivePage
+    from chromaperture.app.live.page import LivePage
 
     source = Camera()
     with watched(source) as (loop, _):

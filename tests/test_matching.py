@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.errors import InputError
+from chromaperture.matching.estimate import estimate_disparity
+from chromaperture.system.errors import InputError
 from worlds import LAYOUT, NARROW, capture, measured, texture
 
 

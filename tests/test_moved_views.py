@@ -13,20 +13,20 @@ from chromaperture.calibration.lens_moves import beyond_disparity, lens_moves
 from chromaperture.calibration.measurement_cache import Store
 from chromaperture.calibration.progress import silent
 from chromaperture.calibration.read_boards import BoardMeasurement, measure_again
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_parts import Film
-from chromaperture.camera_scale import resized
-from chromaperture.config import RealTimeConfig
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.disparity.estimate import estimate_disparity, method_for
-from chromaperture.disparity.gpu.device import open_device
-from chromaperture.disparity.gpu.gpu_method import GpuMethod
-from chromaperture.disparity.labels import IDENTITY
-from chromaperture.disparity.moved_views import MOVE_PARTS, halved_moves, moved, pixel_maps
-from chromaperture.disparity.views import channel_space, halved_views
-from chromaperture.errors import InputError
+from chromaperture.matching.device.device import open_device
+from chromaperture.matching.device.gpu_method import GpuMethod
+from chromaperture.matching.estimate import estimate_disparity, method_for
+from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.moved_views import MOVE_PARTS, halved_moves, moved, pixel_maps
+from chromaperture.matching.views import channel_space, halved_views
+from chromaperture.model.camera_file import Calibration
+from chromaperture.model.camera_parts import Film
+from chromaperture.model.scale import resized
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.lens_blur import BlurModel
+from chromaperture.settings.methods import RealTimeConfig
+from chromaperture.system.errors import InputError
 from devices import needs_device
 from worlds import MARGIN_PX, Boards, capture, halves_camera, ideal_film, texture, wavy_capture
 

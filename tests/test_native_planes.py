@@ -24,8 +24,8 @@ from chromaperture.capture.native_planes import Planes, rgb_of_planes
 from chromaperture.capture.picture_format import PictureFormat
 from chromaperture.capture.video import VideoSource
 from chromaperture.capture.webcam import Webcam
-from chromaperture.errors import InputError
 from chromaperture.products.samples import sample_camera, sample_image
+from chromaperture.system.errors import InputError
 
 WIDTH, HEIGHT = 512, 384
 SRGB_PROFILE = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()

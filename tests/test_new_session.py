@@ -13,11 +13,11 @@ from chromaperture.calibration.chessboard import find_corners
 from chromaperture.calibration.session import read_session
 from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
-from chromaperture.optics.simulated_session import SessionPlan, write_session
+from chromaperture.optics.simulator.session import SessionPlan, write_session
+from chromaperture.system.errors import InputError
 
 CAMERA = PupilCamera(192, 128, 450.0, 12.5, 2000.0, 50.0, 0.1)
 OPTIONS = ("--distances", 5, "--tilts", 4, "--farthest-mm", 3000, "--sensor-width-mm", 19.2)

@@ -7,7 +7,7 @@ import pytest
 
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
 from chromaperture.depth.nonlinearity import Nonlinearity
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 CURVE = Nonlinearity(-4.5, 2.5, np.array([0.05, 0.08, -0.04, 0.02]))
 MODEL = DepthModel(4.3, 8200.0, 50.0, nonlinearity=CURVE)

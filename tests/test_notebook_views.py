@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import chromaperture as cap
-from chromaperture.camera_file import Calibration
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.depth.pointcloud import PointCloud
 from chromaperture.frame.points_view import points_view
+from chromaperture.model.camera_file import Calibration
 
 SAMPLE = "still_life_cy_halves"
 

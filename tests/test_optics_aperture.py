@@ -9,11 +9,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from chromaperture.cli.apertures import design_table
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, channel_transmission, made_of, open_band, open_disc
-from chromaperture.optics.aperture_file import aperture_from_dict, load_aperture
 from chromaperture.optics.metrics import aperture_figures, film_unmixing
 from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.optics.printing.aperture_file import aperture_from_dict, load_aperture
+from chromaperture.system.errors import InputError
 
 # Areas and centroids below are closed forms of discs, squares and circle segments, in pupil radii. The grid
 # of 1000^2 midpoints is good to 4e-4.

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.paraxial import focused_at, paraxial
 from chromaperture.optics.pinhole import pupil_camera
@@ -21,6 +20,7 @@ from chromaperture.optics.prescription import (
 )
 from chromaperture.optics.ray_table import lens_rays, pinhole_rays
 from chromaperture.optics.trace import trace
+from chromaperture.system.errors import InputError
 
 WAVES = (0.605, 0.540, 0.465)
 

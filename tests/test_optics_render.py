@@ -6,15 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission, made_of
-from chromaperture.optics.layer_renderer import behind_edges, fill_unknown, render_layers
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
-from chromaperture.optics.render import render, render_depth, render_sharp
-from chromaperture.optics.scene import load_scene, plane, scene_from_dict
-from chromaperture.optics.sensor import SensorModel, develop, expose, mosaic
-from chromaperture.optics.textures import chessboard, noise
+from chromaperture.optics.simulator.layer_renderer import behind_edges, fill_unknown, render_layers
+from chromaperture.optics.simulator.render import render, render_depth, render_sharp
+from chromaperture.optics.simulator.scene import load_scene, plane, scene_from_dict
+from chromaperture.optics.simulator.sensor import SensorModel, develop, expose, mosaic
+from chromaperture.optics.simulator.textures import chessboard, noise
+from chromaperture.system.errors import InputError
 
 CAMERA = PupilCamera(72, 56, 800.0, 10.0, 2000.0, 50.0, 0.02)
 CY = made_of(DESIGNS["cy_halves"], "ideal")

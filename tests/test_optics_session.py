@@ -16,16 +16,16 @@ from typer.testing import CliRunner
 
 from chromaperture.cli.apertures import apertures
 from chromaperture.cli.simulate import simulate, simulate_rgbd
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission, made_of
-from chromaperture.optics.aperture_file import load_aperture
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.pinhole import PupilCamera, pupil_camera
 from chromaperture.optics.prescription import load_lens
-from chromaperture.optics.sensor import SensorModel
-from chromaperture.optics.simulated_session import SessionPlan
-from chromaperture.optics.template import outline, write_template
+from chromaperture.optics.printing.aperture_file import load_aperture
+from chromaperture.optics.printing.template import outline, write_template
+from chromaperture.optics.simulator.sensor import SensorModel
+from chromaperture.optics.simulator.session import SessionPlan
+from chromaperture.system.errors import InputError
 
 CAMERA = PupilCamera(96, 64, 400.0, 12.0, 2000.0, 50.0, 0.12)
 

@@ -12,8 +12,9 @@ import tifffile
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.depth.error_limit import within_error
 from chromaperture.depth.pointcloud import PointCloud, depth_to_points, write_depth_ply, write_ply
-from chromaperture.errors import InputError
-from chromaperture.storage import staged, to_json, write_color_png, write_depth_png, write_float_tiff
+from chromaperture.files.pictures import write_color_png, write_depth_png, write_float_tiff
+from chromaperture.system.errors import InputError
+from chromaperture.system.storage import staged, to_json
 
 
 def test_depth_encodings(tmp_path):

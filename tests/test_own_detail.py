@@ -4,15 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from chromaperture.disparity.blur_evidence import BlurEvidence
-from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.labels import IDENTITY
-from chromaperture.disparity.own_detail import own_detail
-from chromaperture.disparity.result import NoiseModel
-from chromaperture.disparity.spectral_evidence import SpectralEvidence
+from chromaperture.matching.evidence.blur import BlurEvidence
+from chromaperture.matching.evidence.spectral import SpectralEvidence
+from chromaperture.matching.execution import execution_named
+from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.own_detail import own_detail
+from chromaperture.matching.result import NoiseModel
 from chromaperture.optics.lens_blur import BlurModel
-from chromaperture.spectral_config import SpectralConfig
-from chromaperture.stage_config import CrossFilterConfig
+from chromaperture.settings.stages import CrossFilterConfig, SpectralConfig
 from worlds import lens_blur
 
 H, W = 96, 128

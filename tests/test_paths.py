@@ -5,12 +5,13 @@ from itertools import product
 import numpy as np
 import pytest
 
-from chromaperture.disparity import cpu, stages
-from chromaperture.disparity.accurate import least_cost
-from chromaperture.disparity.cpu.paths import line_starts
-from chromaperture.disparity.labels import IDENTITY
-from chromaperture.disparity.stages.paths import LINES
-from chromaperture.stage_config import SurfaceConfig
+from chromaperture.matching import compiled as cpu
+from chromaperture.matching import readable as stages
+from chromaperture.matching.accurate import least_cost
+from chromaperture.matching.compiled.paths import line_starts
+from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.readable.paths import LINES
+from chromaperture.settings.stages import SurfaceConfig
 
 LAYERS_PX = np.arange(-2.0, 3.01, 0.5)
 

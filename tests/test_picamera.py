@@ -13,7 +13,7 @@ from chromaperture.capture import picamera
 from chromaperture.capture.bayer import PATTERNS
 from chromaperture.capture.open import connected_sources, open_source
 from chromaperture.capture.picamera import mosaic_of, order_of_red_card
-from chromaperture.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import InputError, MissingDependencyError
 
 BLACK = 256  # of 12 bits, as imx477 has it: 4096 of 16
 LIGHT = {"R": 2400, "G": 700, "B": 500}  # counts of 12 bits above black, at 1000 µs and gain 1: a red card

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.plane_regions import (
+from chromaperture.matching.execution import execution_named
+from chromaperture.matching.planes.regions import (
     MOST_LOG_ODDS,
     border_costs,
     borders_of,
@@ -20,7 +20,7 @@ from chromaperture.disparity.plane_regions import (
     regions_between_edges,
     shares_of_blocks,
 )
-from chromaperture.planes_config import PlanesConfig
+from chromaperture.settings.stages import PlanesConfig
 
 FAST, READABLE = execution_named("numba"), execution_named("numpy")
 LABELS = np.arange(61.0)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.plane_fit import (
+from chromaperture.matching.execution import execution_named
+from chromaperture.matching.planes.fit import (
     DRAW_BITS,
     MOST_PLANES,
     Proposal,
@@ -19,9 +19,9 @@ from chromaperture.disparity.plane_fit import (
     plane_proposals,
     tiles_of,
 )
-from chromaperture.disparity.stages.planes import PlaneCosts
-from chromaperture.errors import InputError
-from chromaperture.planes_config import PlanesConfig
+from chromaperture.matching.readable.planes import PlaneCosts
+from chromaperture.settings.stages import PlanesConfig
+from chromaperture.system.errors import InputError
 
 SLOW, FAST = execution_named("numpy"), execution_named("numba")
 LABELS_PX = np.arange(-3.0, 3.01, 0.1)

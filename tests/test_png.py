@@ -14,9 +14,9 @@ from PIL import Image
 from chromaperture import read_image
 from chromaperture.capture.files import decode, linearise, read_light
 from chromaperture.color.encoding import Encoding
-from chromaperture.errors import InputError
-from chromaperture.png_encoding import encode_png
-from chromaperture.rows_on_demand import RowsOnDemand
+from chromaperture.files.png import encode_png
+from chromaperture.system.errors import InputError
+from chromaperture.system.rows_on_demand import RowsOnDemand
 
 SHAPES = [(1, 1, 3), (7, 5), (7, 5, 3), (300, 2000, 3), (700, 1300), (1, 900_000), (1000, 1, 3)]  # of 1 to 8 strips
 FILTERS = {
@@ -65,8 +65,8 @@ def test_rows_that_are_made_on_demand_are_encoded_as_their_picture(rng):
 
 
 def test_without_isal_zlib_does_the_same(monkeypatch, rng):
-    monkeypatch.setattr("chromaperture.deflate.isal_zlib", None)
-    monkeypatch.setattr("chromaperture.deflate.library", zlib)
+    monkeypatch.setattr("chromaperture.system.deflate.isal_zlib", None)
+    monkeypatch.setattr("chromaperture.system.deflate.library", zlib)
     picture = rng.integers(0, 256, (300, 2000, 3)).astype(np.uint8)
     coded = encode_png(picture)
     np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(coded))), picture)

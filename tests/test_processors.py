@@ -54,7 +54,7 @@ def test_all_kernels_of_real_time_become_code_for_arm(monkeypatch):
     import numba
     from numba.core import codegen
 
-    from chromaperture.compile_ahead import listed
+    from chromaperture.system.compile_ahead import listed
 
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from chromaperture.camera import load_camera
+from chromaperture.camera.camera import load_camera
 from chromaperture.cli import console
 from chromaperture.cli.main import main
-from chromaperture.evaluation.paper import quality
-from chromaperture.evaluation.paper.context import Context
 from chromaperture.products.samples import SAMPLES, sample_camera
+from chromaperture_paper import quality
+from chromaperture_paper.context import Context
 
 PATIENCE_S = 30.0  # for a line that comes after a hundredth of a second on a machine that does nothing else
 

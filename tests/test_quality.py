@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from chromaperture.camera_file import Calibration
 from chromaperture.cli.main import app
-from chromaperture.errors import InputError
 from chromaperture.evaluation.depth_quality import ZONES, by_cell, cells, plane_quality
-from chromaperture.evaluation.paper.run import RESULT
+from chromaperture.model.camera_file import Calibration
+from chromaperture.system.errors import InputError
+from chromaperture_paper.run import RESULT
 from worlds import RULERS_MM
 
 DELTA, B, TRUTH = 50.0, 8000.0, 2000.0

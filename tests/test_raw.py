@@ -21,13 +21,13 @@ from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.calibration.session import read_session
 from chromaperture.calibration.white_sheets import measure_white_sheets
-from chromaperture.camera_file import Calibration
 from chromaperture.capture import raw as raw_files
 from chromaperture.capture.exif import read_model, read_noise_profile
 from chromaperture.capture.files import decode, format_of, read_image
 from chromaperture.capture.raw_container import check_complete
-from chromaperture.errors import InputError
+from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
+from chromaperture.system.errors import InputError
 from worlds import INFINITY_PX, PUPIL_MM, SCALE_PX_MM, mosaic_of, write_dng
 
 needs_rawpy = pytest.mark.extra("raw", "rawpy")

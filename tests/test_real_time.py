@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from chromaperture.color.unmixing import own_film_unmixing, view_reach
-from chromaperture.config import RealTimeConfig
-from chromaperture.disparity import cpu, stages
-from chromaperture.disparity.error_bar import sigma_of_range
-from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.labels import IDENTITY, LabelMap, labels_between
-from chromaperture.disparity.stages.correlation import of_own_sign
-from chromaperture.disparity.stages.place import (
+from chromaperture.matching import compiled as cpu
+from chromaperture.matching import readable as stages
+from chromaperture.matching.error_bar import sigma_of_range
+from chromaperture.matching.estimate import estimate_disparity
+from chromaperture.matching.labels import IDENTITY, LabelMap, labels_between
+from chromaperture.matching.readable.correlation import of_own_sign
+from chromaperture.matching.readable.place import (
     BIAS,
     EDGE_REACH_PX,
     EDGE_SHARE,
@@ -24,10 +24,11 @@ from chromaperture.disparity.stages.place import (
     halved_surface,
     place_by_correlation,
 )
-from chromaperture.disparity.views import Views, channel_space
-from chromaperture.disparity.winner import PathWinner
+from chromaperture.matching.views import Views, channel_space
+from chromaperture.matching.winner import PathWinner
 from chromaperture.optics.aperture import DESIGNS, centroids, made_of
-from chromaperture.stage_config import CorrelationConfig, LayersConfig
+from chromaperture.settings.methods import RealTimeConfig
+from chromaperture.settings.stages import CorrelationConfig, LayersConfig
 from worlds import LAYOUT, MARGIN_PX, capture, ideal_film, moved, texture
 
 SMALL = RealTimeConfig().with_range(-4.0, 4.0)

@@ -11,7 +11,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from chromaperture.cli.main import main
-from chromaperture.errors import InputError
 from chromaperture.products.rectified import View
 from chromaperture.products.samples import sample_camera, sample_image
 from chromaperture.reconstruction.clean_views import cleaned, near_steps
@@ -21,6 +20,7 @@ from chromaperture.reconstruction.ray_casting import enlarged_distances, table_o
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.tracking import prepare, track
 from chromaperture.reconstruction.volume import Mesh, Volume, in_order
+from chromaperture.system.errors import InputError
 
 MATRIX = np.array([[160.0, 0, 119.5], [0, 160.0, 89.5], [0, 0, 1]])
 SIZE = (180, 240)

@@ -21,11 +21,11 @@ from chromaperture.capture.open import open_source
 from chromaperture.capture.recording import Recorder
 from chromaperture.capture.source import Frame
 from chromaperture.color.encoding import Encoding
-from chromaperture.errors import CaptureWarning, InputError
 from chromaperture.products.mcap import write_mcap
 from chromaperture.products.rectified import View
 from chromaperture.products.samples import sample_camera, sample_image
 from chromaperture.products.tum import write_tum
+from chromaperture.system.errors import CaptureWarning, InputError
 
 SHIFTED = Encoding(64, 1023, "linear", ((-0.25, -0.25), (0.0, 0.0), (0.25, 0.25)))
 
@@ -229,7 +229,7 @@ def test_recordings_of_the_first_format_are_read(tmp_path):
 DATA = Path(__file__).parent / "data" / "recordings"
 
 
-@pytest.mark.filterwarnings("ignore::chromaperture.errors.CaptureWarning")
+@pytest.mark.filterwarnings("ignore::chromaperture.system.errors.CaptureWarning")
 @pytest.mark.parametrize("version", [1, 2])
 def test_recordings_of_every_past_format_replay_as_they_were_made(version):
     """Each was made by the release whose format it has, from these numbers."""
@@ -276,7 +276,7 @@ def test_a_damaged_line_costs_its_own_frame_and_says_so(tmp_path, damage):
     assert "\n" not in events[0].message
 
 
-@pytest.mark.filterwarnings("ignore::chromaperture.errors.CaptureWarning")
+@pytest.mark.filterwarnings("ignore::chromaperture.system.errors.CaptureWarning")
 @pytest.mark.parametrize(
     "change",
     [
@@ -308,7 +308,7 @@ def test_lines_of_the_second_format_are_checked_value_by_value(tmp_path, change)
     assert [event.kind for event in events] == ["skipped"]
 
 
-@pytest.mark.filterwarnings("ignore::chromaperture.errors.CaptureWarning")
+@pytest.mark.filterwarnings("ignore::chromaperture.system.errors.CaptureWarning")
 @pytest.mark.parametrize("kind", ["fifo", "link", "folder"])
 def test_only_regular_files_are_read(tmp_path, kind):
     folder = tmp_path / "walk"

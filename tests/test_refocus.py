@@ -9,11 +9,11 @@ from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
 from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.focus_sweep import sweep, write_sweep
 from chromaperture.effects.refocusing import Focus, refocus
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.psf import geometric_psf
 from chromaperture.optics.ray_table import pinhole_rays
-from chromaperture.optics.render import render, render_depth, render_sharp
+from chromaperture.optics.simulator.render import render, render_depth, render_sharp
+from chromaperture.system.errors import InputError
 from worlds import card_before_wall, pinhole_camera
 
 SIZE = (160, 112)

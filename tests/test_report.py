@@ -22,7 +22,6 @@ from chromaperture.calibration.curves import Evidence
 from chromaperture.calibration.fit_curve import DepthFit
 from chromaperture.calibration.read_boards import BoardMeasurement
 from chromaperture.calibration.session import Session
-from chromaperture.camera_parts import Film
 from chromaperture.cli.main import app, main
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
@@ -41,6 +40,7 @@ from chromaperture.evaluation.verdict import (
     unusable,
     weaknesses,
 )
+from chromaperture.model.camera_parts import Film
 from chromaperture.optics.lens_blur import BlurModel
 from worlds import halves_camera
 

@@ -16,17 +16,17 @@ from chromaperture.calibration.board_light import board_color, color_notes
 from chromaperture.calibration.chessboard import find_corners
 from chromaperture.calibration.fit_response import fit_response, fold_board, with_response
 from chromaperture.calibration.session import read_session
-from chromaperture.camera import load_camera
-from chromaperture.camera_file import Calibration
+from chromaperture.camera.camera import load_camera
 from chromaperture.capture.files import read_light
 from chromaperture.color.encoding import Encoding, develop_counts
 from chromaperture.color.response import KNOTS, ResponseCurve
 from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
-from chromaperture.errors import CaptureWarning
+from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
-from chromaperture.optics.simulated_session import SessionPlan, write_session
+from chromaperture.optics.simulator.session import SessionPlan, write_session
+from chromaperture.system.errors import CaptureWarning
 
 CORNERS = (9, 6)
 SQUARE_PX, LEFT_TOP_PX = 21.3, (62.4, 51.7)

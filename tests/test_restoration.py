@@ -11,11 +11,11 @@ from chromaperture.effects.layered_model import LayeredModel
 from chromaperture.effects.restoration_tiles import by_tiles
 from chromaperture.effects.transfer_functions import ThinLensBlur, kernel_otf
 from chromaperture.effects.wiener import colour_covariance, extrapolated, joint_filter, natural_spectrum, sharpen_layers
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission
 from chromaperture.optics.psf import geometric_psf
 from chromaperture.optics.ray_table import pinhole_rays
-from chromaperture.optics.render import render, render_depth, render_sharp
+from chromaperture.optics.simulator.render import render, render_depth, render_sharp
+from chromaperture.system.errors import InputError
 from worlds import card_before_wall, pinhole_camera
 
 TINT = np.array([0.9, 0.7, 0.5], np.float32)

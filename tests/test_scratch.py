@@ -13,16 +13,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import chromaperture as cap
-from chromaperture import camera_memory, memory, scratch
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_matching import default_config
-from chromaperture.camera_memory import check_camera_memory, needed_bytes, volume_bytes
-from chromaperture.camera_scale import resized
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.camera import memory as camera_memory
+from chromaperture.camera.memory import check_camera_memory, needed_bytes, volume_bytes
+from chromaperture.camera.method import default_config
 from chromaperture.capture.files import read_image
-from chromaperture.disparity.cpu import workspace
-from chromaperture.disparity.working_scale import reduced
-from chromaperture.errors import CaptureWarning, InputError, OutOfMemoryError
+from chromaperture.matching.compiled import workspace
+from chromaperture.matching.working_scale import reduced
+from chromaperture.model.scale import resized
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
+from chromaperture.system import memory, scratch
+from chromaperture.system.errors import CaptureWarning, InputError, OutOfMemoryError
 
 GIGA = 1e9
 

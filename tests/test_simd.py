@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from chromaperture.disparity.cpu import simd as v
+from chromaperture.matching.compiled import simd as v
 
 A = np.array([3.0, -1.5, 0.25, 7.0, -8.0, 0.5, 2.0, -0.125], np.float32)
 B = np.array([-2.0, 4.0, 0.5, 7.5, -9.0, 0.25, -3.0, 1.0], np.float32)

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from chromaperture.color.srgb import linear_to_srgb_bytes
-from chromaperture.errors import InputError
-from chromaperture.optics.sensor import SensorModel
-from chromaperture.optics.video_signal import VideoSignal, bt709_curve, drawn_smaller, srgb_curve, video_frame
+from chromaperture.optics.simulator.sensor import SensorModel
+from chromaperture.optics.simulator.video_signal import VideoSignal, bt709_curve, drawn_smaller, srgb_curve, video_frame
+from chromaperture.system.errors import InputError
 
 spec = importlib.util.spec_from_file_location(
     "simulated_phone", Path(__file__).parents[1] / "benchmarks" / "simulated_phone.py"

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from chromaperture.camera_file import Calibration
 from chromaperture.capture.native_planes import Planes, rgb_of_planes
 from chromaperture.capture.picture_format import FORM, PictureFormat
 from chromaperture.capture.siting_check import find_chroma_error
 from chromaperture.color.encoding import SITINGS
-from chromaperture.errors import InputError
 from chromaperture.evaluation.chroma_siting import check_siting, siting_without_error
+from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import sample_camera
+from chromaperture.system.errors import InputError
 from test_native_planes import GREY, HEIGHT, ORANGE, WIDTH, clip, grid, planes_of, scene, sites
 
 LEAF, BLUE, BEIGE = (0.2, 0.5, 0.3), (0.4, 0.6, 0.9), (0.75, 0.7, 0.6)

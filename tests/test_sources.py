@@ -21,8 +21,8 @@ from chromaperture.capture.playback import played
 from chromaperture.capture.source import FileSource, Frame
 from chromaperture.capture.threaded_source import DeviceLostError, LiveSource, StreamEndedError
 from chromaperture.color.encoding import Encoding
-from chromaperture.errors import CaptureWarning, InputError, MissingDependencyError
-from chromaperture.optics.sensor import mosaic
+from chromaperture.optics.simulator.sensor import mosaic
+from chromaperture.system.errors import CaptureWarning, InputError, MissingDependencyError
 from worlds import write_dng
 
 # Older PyGObject has an importer of the old kind.

@@ -5,16 +5,15 @@ import pytest
 import scipy.fft
 import scipy.optimize
 
-from chromaperture.disparity.blur_evidence import BlurEvidence
-from chromaperture.disparity.execution import execution_named
-from chromaperture.disparity.labels import IDENTITY
-from chromaperture.disparity.result import ESTIMATED_NOISE, NoiseModel
-from chromaperture.disparity.spectral_evidence import SpectralEvidence, _add_enlarged, _tempered, over_slopes
-from chromaperture.disparity.spectral_model import BAND, SpectralModel, Windows
-from chromaperture.errors import InputError
+from chromaperture.matching.evidence.blur import BlurEvidence
+from chromaperture.matching.evidence.spectral import SpectralEvidence, _add_enlarged, _tempered, over_slopes
+from chromaperture.matching.evidence.spectral_model import BAND, SpectralModel, Windows
+from chromaperture.matching.execution import execution_named
+from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.result import ESTIMATED_NOISE, NoiseModel
 from chromaperture.optics.lens_blur import BlurModel
-from chromaperture.spectral_config import SpectralConfig
-from chromaperture.stage_config import CrossFilterConfig
+from chromaperture.settings.stages import CrossFilterConfig, SpectralConfig
+from chromaperture.system.errors import InputError
 from worlds import lens_blur
 
 W, H = 160, 120

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.disparity.stages.bilateral import recursive_bilateral
+from chromaperture.matching.readable.bilateral import recursive_bilateral
 
 
 def test_bilateral_of_an_even_guide_is_a_two_sided_exponential():

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 
-from chromaperture.disparity.stages.correlation import (
+from chromaperture.matching.readable.correlation import (
     SAMPLING,
     correlate,
     exponential_window,
@@ -19,9 +19,9 @@ from chromaperture.disparity.stages.correlation import (
     texture_weights,
     three_view_score,
 )
-from chromaperture.disparity.view_noise import ViewNoise
-from chromaperture.disparity.views import Views, smooth
-from chromaperture.stage_config import CorrelationConfig
+from chromaperture.matching.view_noise import ViewNoise
+from chromaperture.matching.views import Views, smooth
+from chromaperture.settings.stages import CorrelationConfig
 
 
 def window_weights(decay, reach):

@@ -12,11 +12,11 @@ import time
 import numpy as np
 import pytest
 
-from chromaperture.errors import InputError
 from chromaperture.products.foxglove_stream import FoxgloveStream, address, encoded_depth
 from chromaperture.products.mcap import write_mcap
 from chromaperture.products.rectified import View
 from chromaperture.products.samples import sample_camera, sample_image
+from chromaperture.system.errors import InputError
 
 MATRIX = np.array([[500.0, 0, 4], [0, 501, 3], [0, 0, 1]])
 TOPICS = {"/camera/camera_info": "CameraCalibration", "/camera/depth/points": "PointCloud", "/tf": "FrameTransform"}

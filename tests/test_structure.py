@@ -82,32 +82,32 @@ ALLOWED: dict[str, set[str]] = {
     # Public names, each imported when it is first used.
     "__init__": BELOW_LEAVES | {"effects", "tasks"},
 }
-EXECUTIONS = ("chromaperture.disparity.cpu", "chromaperture.disparity.stages")
+EXECUTIONS = ("chromaperture.matching.compiled", "chromaperture.matching.readable")
 # Who imports modules of an execution from outside the two of them, and why.
 MAY_IMPORT_CPU = {
-    "disparity/execution.py",  # chooses between them
+    "matching/execution.py",  # chooses between them
 }
 # Besides disparity/gpu/, whose shaders take their constants and tables from the readable stages.
 MAY_IMPORT_EXECUTIONS = MAY_IMPORT_CPU | {
     # What both executions share, defined where the readable one explains it:
-    "disparity/accurate.py",  # the place between two layers
-    "disparity/blur_evidence.py",  # tiles of the frame
-    "disparity/spectral_evidence.py",  # a photograph without its shading, and the cubic between layers
-    "disparity/spectral_model.py",  # what that takes away
-    "disparity/total_variation.py",  # the problem and its state
-    "disparity/plane_fit.py",  # what a plane costs
-    "disparity/plane_regions.py",  # how pairs of regions are summed
-    "disparity/working_scale.py",  # the maps that both bring to full size
+    "matching/accurate.py",  # the place between two layers
+    "matching/evidence/blur.py",  # tiles of the frame
+    "matching/evidence/spectral.py",  # a photograph without its shading, and the cubic between layers
+    "matching/evidence/spectral_model.py",  # what that takes away
+    "matching/total_variation.py",  # the problem and its state
+    "matching/planes/fit.py",  # what a plane costs
+    "matching/planes/regions.py",  # how pairs of regions are summed
+    "matching/working_scale.py",  # the maps that both bring to full size
     "calibration/fit_blur.py",  # a photograph without its shading
 }
 # Names of each way to compile and to start threads, and the one module that may use them.
 ONE_WAY = {
-    "njit": "compilation.py",
-    "jit": "compilation.py",
-    "prange": "compilation.py",
-    "vectorize": "compilation.py",
-    "ThreadPoolExecutor": "threads.py",
-    "ThreadPool": "threads.py",
+    "njit": "system/compilation.py",
+    "jit": "system/compilation.py",
+    "prange": "system/compilation.py",
+    "vectorize": "system/compilation.py",
+    "ThreadPoolExecutor": "system/threads.py",
+    "ThreadPool": "system/threads.py",
 }
 OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "fsspec", "mcap", "mcap_ros2",
             "imageio", "xarray", "OpenEXR", "pxr", "foxglove", "picamera2", "wgpu", "starlette", "uvicorn",
@@ -124,7 +124,7 @@ def imported(nodes: Iterator[ast.AST], package: tuple[str, ...]) -> Iterator[str
         elif isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else ()
             module = ".".join((*base, *([node.module] if node.module else [])))
-            # "from chromaperture.disparity import kernels" loads chromaperture.disparity.kernels
+            # "from chromaperture.matching import kernels" loads chromaperture.matching.kernels
             yield from (f"{module}.{alias.name}" for alias in node.names)
 
 
@@ -227,19 +227,19 @@ def test_the_execution_is_chosen_in_one_place():
     cpu, _ = EXECUTIONS
     found = {where: executions_imported(text, package_of(where)) for where, text in SOURCES.items()}
     importers = {where for where, modules in found.items() if modules}
-    executions = ("disparity/cpu/", "disparity/stages/", "disparity/gpu/")
+    executions = ("matching/compiled/", "matching/readable/", "matching/device/")
     outside = {where for where in importers if not where.startswith(executions)}
     assert outside == MAY_IMPORT_EXECUTIONS
-    assert {where for where, modules in found.items() if modules & set(EXECUTIONS)} == {"disparity/execution.py"}
+    assert {where for where, modules in found.items() if modules & set(EXECUTIONS)} == {"matching/execution.py"}
     of_cpu = {where for where, modules in found.items() if any(module.startswith(cpu) for module in modules)}
-    assert {where for where in of_cpu if not where.startswith("disparity/cpu/")} == MAY_IMPORT_CPU
+    assert {where for where in of_cpu if not where.startswith("matching/compiled/")} == MAY_IMPORT_CPU
 
 
 def test_the_readable_stages_compile_nothing():
     for where, text in SOURCES.items():
-        if where.startswith("disparity/stages/"):
+        if where.startswith("matching/readable/"):
             names = imported(ast.walk(ast.parse(text)), package_of(where))
-            assert not [n for n in names if n.startswith(("numba", "llvmlite", "chromaperture.compilation"))], where
+            assert not [n for n in names if n.startswith(("numba", "llvmlite", "chromaperture.system.compilation"))], where
 
 
 def test_there_is_one_way_to_compile_and_one_to_start_threads():
@@ -270,18 +270,18 @@ def test_files_stay_readable_in_one_sitting():
     ("part", "source"),
     [
         ("optics", "from chromaperture.color.unmixing import unmix"),
-        ("optics", "def f():\n    import chromaperture.disparity.estimate"),
+        ("optics", "def f():\n    import chromaperture.matching.estimate"),
         ("optics", "from ..disparity import estimate"),
         ("optics", "from chromaperture import estimate_disparity"),
-        ("color", "from chromaperture.disparity import reference"),
-        ("depth", "from chromaperture.disparity.estimate import Disparity"),
+        ("color", "from chromaperture.matching import reference"),
+        ("depth", "from chromaperture.matching.estimate import Disparity"),
         ("camera", "from chromaperture.calibration.session import read_session"),
         ("disparity", "from chromaperture.depth.conversion import DepthModel"),
         ("depth", "from chromaperture.capture.files import read_image"),
-        ("effects", "from chromaperture.viewer import show"),
+        ("effects", "from chromaperture.app.live import show"),
         ("camera", "from chromaperture.cli.main import main"),
-        ("errors", "from chromaperture.threads import in_parallel"),
-        ("color", "from chromaperture.config import PaperConfig"),
+        ("errors", "from chromaperture.system.threads import in_parallel"),
+        ("color", "from chromaperture.settings.methods import PaperConfig"),
     ],
 )
 def test_a_wrong_import_is_found(part, source):
@@ -306,11 +306,11 @@ def test_a_package_outside_the_base_install_is_found(source, found):
 @pytest.mark.parametrize(
     ("source", "found"),
     [
-        ("from chromaperture.disparity import cpu", "chromaperture.disparity.cpu"),
-        ("def f():\n    from chromaperture.disparity.cpu import correlate", "chromaperture.disparity.cpu"),
-        ("import chromaperture.disparity.stages", "chromaperture.disparity.stages"),
-        ("from . import stages", "chromaperture.disparity.stages"),
-        ("from chromaperture.disparity.stages.tiles import Nodes", "chromaperture.disparity.stages.tiles"),
+        ("from chromaperture.matching import cpu", "chromaperture.matching.compiled"),
+        ("def f():\n    from chromaperture.matching.compiled import correlate", "chromaperture.matching.compiled"),
+        ("import chromaperture.matching.readable", "chromaperture.matching.readable"),
+        ("from . import stages", "chromaperture.matching.readable"),
+        ("from chromaperture.matching.readable.tiles import Nodes", "chromaperture.matching.readable.tiles"),
     ],
 )
 def test_an_imported_execution_is_found(source, found):

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from chromaperture.disparity.thin_plate import (
+from chromaperture.matching.planes.thin_plate import (
     at_labels,
     beside_edges,
     link_weights,
@@ -18,8 +18,8 @@ from chromaperture.disparity.thin_plate import (
     tempered,
     thin_plate,
 )
-from chromaperture.errors import InputError
-from chromaperture.planes_config import PlateConfig
+from chromaperture.settings.stages import PlateConfig
+from chromaperture.system.errors import InputError
 
 CONFIG = PlateConfig()
 LABELS = np.arange(41.0)

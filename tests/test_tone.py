@@ -14,16 +14,16 @@ from chromaperture.calibration.session import read_session
 from chromaperture.calibration.tone_curve import disparity_error, edge_disparity, measure_tone
 from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
-from chromaperture.config import RealTimeConfig
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.field_scale_error import with_scale_error
-from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.errors import InputError
+from chromaperture.matching.estimate import estimate_disparity
 from chromaperture.optics.aperture import DESIGNS, made_of
-from chromaperture.optics.layer_renderer import render_layers
 from chromaperture.optics.pinhole import PupilCamera
-from chromaperture.optics.textures import noise
+from chromaperture.optics.simulator.layer_renderer import render_layers
+from chromaperture.optics.simulator.textures import noise
+from chromaperture.settings.methods import RealTimeConfig
+from chromaperture.system.errors import InputError
 
 SIZE = (240, 360)
 RATIO = 4.0

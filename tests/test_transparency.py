@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from chromaperture.color.transparency_map import compensate_vignetting, flat_field, light_efficiency, transparency
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 
 def sheets(rng, truth, height=120, width=180):

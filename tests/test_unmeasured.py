@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from chromaperture.config import preset
-from chromaperture.disparity.clipped_areas import clipped_filled
-from chromaperture.disparity.error_bar import MAX_SIGMA_PX, sigma_of_range, widened, without_pixels, without_two_views
-from chromaperture.disparity.estimate import estimate_disparity
+from chromaperture.matching.clipped_areas import clipped_filled
+from chromaperture.matching.error_bar import MAX_SIGMA_PX, sigma_of_range, widened, without_pixels, without_two_views
+from chromaperture.matching.estimate import estimate_disparity
+from chromaperture.settings.methods import preset
 from worlds import capture, texture
 
 HOLE = np.s_[24:56, 32:72]  # of pictures of 80 x 96 px; whole squares of 8 px

@@ -6,8 +6,8 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from chromaperture.color.unmixing import mixing_matrix, own_film_unmixing, unmixing_rows, view_directions
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, channel_transmission
+from chromaperture.system.errors import InputError
 
 YELLOW_FILM, CYAN_FILM = (0.92, 0.80, 0.08), (0.08, 0.68, 0.67)  # as real film leaks
 levels = st.floats(0.01, 1.0)

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from chromaperture.disparity import cpu
-from chromaperture.disparity.stages.variation import (
+from chromaperture.matching import compiled as cpu
+from chromaperture.matching.readable.variation import (
     OPERATOR_NORM_SQUARED,
     Problem,
     State,
@@ -19,8 +19,8 @@ from chromaperture.disparity.stages.variation import (
     iterate,
     step_sizes,
 )
-from chromaperture.disparity.total_variation import CHECK_EVERY, make_problem, smooth_disparity
-from chromaperture.errors import InputError
+from chromaperture.matching.total_variation import CHECK_EVERY, make_problem, smooth_disparity
+from chromaperture.system.errors import InputError
 
 
 def spoilt_map(rng, shape=(96, 96)):

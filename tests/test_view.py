@@ -10,9 +10,9 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from chromaperture.pages.map_page import Page, Panel, render
+from chromaperture.app.live.serve_page import PageServer
+from chromaperture.files.map_page import Page, Panel, render
 from chromaperture.products.samples import sample_camera, sample_image
-from chromaperture.viewer.serve_page import PageServer
 
 
 def get(url, path=None, host=None, **headers):

@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chromaperture.config import RealTimeConfig
-from chromaperture.disparity import cpu
-from chromaperture.disparity.estimate import method_for
-from chromaperture.disparity.stages.correlation import SAMPLING, _CellWindow
-from chromaperture.disparity.views import halved_views, smooth
-from chromaperture.disparity.whole_light import (
+from chromaperture.matching import compiled as cpu
+from chromaperture.matching.estimate import method_for
+from chromaperture.matching.readable.correlation import SAMPLING, _CellWindow
+from chromaperture.matching.views import halved_views, smooth
+from chromaperture.matching.whole_light import (
     LEAST_EXPONENT,
     LIGHT_BITS,
     TAP_PARTS,
@@ -24,6 +23,7 @@ from chromaperture.disparity.whole_light import (
     smoothing_taps,
     whole_taps,
 )
+from chromaperture.settings.methods import RealTimeConfig
 from worlds import wavy_capture
 
 

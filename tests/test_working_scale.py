@@ -8,16 +8,17 @@ import cv2
 import numpy as np
 import pytest
 
-from chromaperture.camera_alignment import ChannelAlignment
-from chromaperture.camera_matching import default_config
+from chromaperture.camera.alignment import ChannelAlignment
+from chromaperture.camera.method import default_config
 from chromaperture.color.alignment import fill_unknown
 from chromaperture.color.image import SATURATION
 from chromaperture.depth.conversion import disparity_to_depth
 from chromaperture.depth.field_bands import field_to_depth
-from chromaperture.disparity import cpu, stages
-from chromaperture.disparity.result import Disparity
-from chromaperture.disparity.stages.upsample import Coarse
-from chromaperture.disparity.working_scale import coarse_maps, reduced
+from chromaperture.matching import compiled as cpu
+from chromaperture.matching import readable as stages
+from chromaperture.matching.readable.upsample import Coarse
+from chromaperture.matching.result import Disparity
+from chromaperture.matching.working_scale import coarse_maps, reduced
 from test_camera_scale import camera, field
 
 GREY = np.full(3, 1 / 3)
@@ -139,7 +140,7 @@ def test_colour_in_bands_is_colour_of_the_whole(monkeypatch, quality, design):
     image = rng.uniform(0, 0.8, (64, 96, 3)).astype(np.float32)
     d = np.where(rng.uniform(size=(64, 96)) < 0.02, np.nan, np.where(np.arange(96) < 40, -3.0, 2.0)).astype(np.float32)
     whole = alignment.align(image, d)
-    monkeypatch.setattr("chromaperture.camera_alignment._BAND_PX", 96 * 7)
+    monkeypatch.setattr("chromaperture.camera.alignment._BAND_PX", 96 * 7)
     monkeypatch.setattr("chromaperture.color.row_alignment._BAND_ROWS", 7)
     # Positions in a band are smaller numbers: float32 rounds them to 1e-6 px less of the frame's.
     np.testing.assert_allclose(alignment.align(image, d), whole, atol=1e-5)

@@ -7,9 +7,9 @@ from importlib import import_module
 
 import numpy as np
 
-from chromaperture.disparity.cpu.upsample import upsample
-from chromaperture.disparity.cpu.workspace import _MOST_KEPT, _volumes, volume
-from chromaperture.disparity.stages.upsample import Coarse
+from chromaperture.matching.compiled.upsample import upsample
+from chromaperture.matching.compiled.workspace import _MOST_KEPT, _volumes, volume
+from chromaperture.matching.readable.upsample import Coarse
 
 SHAPE = (7, 11, 13)
 
@@ -50,7 +50,7 @@ def test_a_large_volume_is_given_back() -> None:
 
 
 def test_maps_of_a_large_photograph_take_the_memory_of_volumes(monkeypatch) -> None:
-    monkeypatch.setattr(import_module("chromaperture.disparity.cpu.upsample"), "_LARGE_BYTES", 100)
+    monkeypatch.setattr(import_module("chromaperture.matching.compiled.upsample"), "_LARGE_BYTES", 100)
     used = volume(SHAPE)
     del used
     gc.collect()

@@ -15,20 +15,20 @@ import tifffile
 
 from chromaperture.calibration.board_distances import BoardDistances
 from chromaperture.calibration.curves import Evidence
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_parts import CameraSensor, Film, Lens
 from chromaperture.color.unmixing import own_film_unmixing, view_directions
-from chromaperture.config import PaperConfig
 from chromaperture.depth.field import DepthField
-from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.views import ViewSpace, view_spaces
-from chromaperture.evaluation.paper.trial import Trial
+from chromaperture.matching.estimate import estimate_disparity
+from chromaperture.matching.views import ViewSpace, view_spaces
+from chromaperture.model.camera_file import Calibration
+from chromaperture.model.camera_parts import CameraSensor, Film, Lens
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.pinhole import PupilCamera, centered_pinhole
-from chromaperture.optics.scene import Plane, plane
-from chromaperture.optics.textures import noise
-from chromaperture.stage_config import BilateralConfig, CorrelationConfig, LayersConfig
+from chromaperture.optics.simulator.scene import Plane, plane
+from chromaperture.optics.simulator.textures import noise
+from chromaperture.settings.methods import PaperConfig
+from chromaperture.settings.stages import BilateralConfig, CorrelationConfig, LayersConfig
+from chromaperture_paper.trial import Trial
 
 # ---- textured planes, displaced view by view as the aperture would displace them
 
@@ -181,7 +181,7 @@ def pinhole_camera(width_px: int, height_px: int, *, focus_mm: float = 1000.0, r
 def card_before_wall(colors, *, texels: tuple[int, int], distances_mm, widths_mm, **spectrum: float) -> list[Plane]:
     """A textured wall and a card before it; colours, distances and widths are of the wall and of the card.
 
-    Their grey texture is `chromaperture.optics.textures.noise`, to which ``spectrum`` goes.
+    Their grey texture is `chromaperture.optics.simulator.textures.noise`, to which ``spectrum`` goes.
     """
     made = []
     for seed, (color, z_mm, width_mm) in enumerate(zip(colors, distances_mm, widths_mm, strict=True), start=1):

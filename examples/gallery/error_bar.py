@@ -16,9 +16,9 @@ import chromaperture as cap
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_rays
-from chromaperture.optics.render import render, render_depth
-from chromaperture.optics.scene import load_scene
-from chromaperture.optics.sensor import SensorModel, develop, expose
+from chromaperture.optics.simulator.render import render, render_depth
+from chromaperture.optics.simulator.scene import load_scene
+from chromaperture.optics.simulator.sensor import SensorModel, develop, expose
 
 here = Path(__file__).parent if "__file__" in globals() else Path.cwd()  # a notebook has no file
 scene = load_scene(here.parent / "desk.toml")

@@ -11,19 +11,18 @@ docs/python.md is a tour. A name is imported when it is first used, so a program
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from chromaperture.camera import CodedApertureCamera, load_camera
-    from chromaperture.camera_file import Calibration
+    from chromaperture.camera.camera import CodedApertureCamera, load_camera
     from chromaperture.capture.files import read_image
     from chromaperture.capture.open import connected_sources, open_source
-    from chromaperture.config import AccurateConfig, Config, DepthConfig, MatcherConfig, PaperConfig, RealTimeConfig
     from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
     from chromaperture.depth.error_limit import within_error
     from chromaperture.depth.pointcloud import PointCloud, write_ply
-    from chromaperture.disparity.estimate import estimate_disparity
-    from chromaperture.disparity.result import Disparity
     from chromaperture.effects.restore import SharpPicture
-    from chromaperture.errors import CaptureWarning, ChromapertureError, InputError, MissingDependencyError
+    from chromaperture.files.pictures import write_color_png, write_depth_png, write_float_tiff
     from chromaperture.frame.depth_frame import DepthFrame
+    from chromaperture.matching.estimate import estimate_disparity
+    from chromaperture.matching.result import Disparity
+    from chromaperture.model.camera_file import Calibration
     from chromaperture.optics.aperture import DESIGNS, Aperture, design_named
     from chromaperture.optics.kernel_blur import blur_from_kernels
     from chromaperture.products.mcap import write_mcap
@@ -31,25 +30,33 @@ if TYPE_CHECKING:
     from chromaperture.products.rectified import undistorter
     from chromaperture.products.samples import open_sample, sample_camera, sample_image, samples
     from chromaperture.products.tum import write_tum
-    from chromaperture.storage import write_color_png, write_depth_png, write_float_tiff
+    from chromaperture.settings.methods import (
+        AccurateConfig,
+        Config,
+        DepthConfig,
+        MatcherConfig,
+        PaperConfig,
+        RealTimeConfig,
+    )
+    from chromaperture.system.errors import CaptureWarning, ChromapertureError, InputError, MissingDependencyError
     from chromaperture.tasks import all_in_focus, calibrate, refocus
 
 __version__ = "0.2.0"
 
 # The module of every public name; the same as above, where type checkers read it (tests/test_python.py).
 _MODULES = {
-    "camera": "CodedApertureCamera load_camera",
-    "camera_file": "Calibration",
+    "camera.camera": "CodedApertureCamera load_camera",
+    "model.camera_file": "Calibration",
     "capture.files": "read_image",
     "capture.open": "connected_sources open_source",
-    "config": "AccurateConfig Config DepthConfig MatcherConfig PaperConfig RealTimeConfig",
+    "settings.methods": "AccurateConfig Config DepthConfig MatcherConfig PaperConfig RealTimeConfig",
     "depth.conversion": "DepthModel depth_to_disparity disparity_to_depth",
     "depth.error_limit": "within_error",
     "depth.pointcloud": "PointCloud write_ply",
-    "disparity.estimate": "estimate_disparity",
-    "disparity.result": "Disparity",
+    "matching.estimate": "estimate_disparity",
+    "matching.result": "Disparity",
     "effects.restore": "SharpPicture",
-    "errors": "CaptureWarning ChromapertureError InputError MissingDependencyError",
+    "system.errors": "CaptureWarning ChromapertureError InputError MissingDependencyError",
     "frame.depth_frame": "DepthFrame",
     "optics.aperture": "DESIGNS Aperture design_named",
     "optics.kernel_blur": "blur_from_kernels",
@@ -58,7 +65,7 @@ _MODULES = {
     "products.rectified": "undistorter",
     "products.samples": "open_sample sample_camera sample_image samples",
     "products.tum": "write_tum",
-    "storage": "write_color_png write_depth_png write_float_tiff",
+    "files.pictures": "write_color_png write_depth_png write_float_tiff",
     "tasks": "all_in_focus calibrate refocus",
 }
 _MODULE_OF = {name: module for module, names in _MODULES.items() for name in names.split()}

@@ -10,13 +10,13 @@ def main() -> None:
     usual = signal.getsignal(signal.SIGINT) == signal.default_int_handler
     try:
         from chromaperture.cli.terminal import leave_at_once, prepare_output
-        from chromaperture.errors import FREE_MEMORY, InputError, lacks_memory
+        from chromaperture.system.errors import FREE_MEMORY, InputError, lacks_memory
 
         prepare_output()
         if usual:
             signal.signal(signal.SIGINT, leave_at_once)
         try:
-            from chromaperture.threads import check_environment
+            from chromaperture.system.threads import check_environment
 
             check_environment()
             from chromaperture.cli.main import main as run

@@ -11,14 +11,14 @@ import numpy as np
 from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.calibration.progress import Progress, silent
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration
+from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.effects.refocusing import Focus
 from chromaperture.effects.refocusing import refocus as blur_anew
 from chromaperture.effects.restore import Sharpness, SharpPicture, focus_radius, restore
-from chromaperture.errors import CaptureWarning, InputError
 from chromaperture.evaluation.verdict import unusable
 from chromaperture.frame.depth_frame import DepthFrame
+from chromaperture.model.camera_file import Calibration
+from chromaperture.system.errors import CaptureWarning, InputError
 
 
 def calibrate(

@@ -20,19 +20,19 @@ import tifffile
 from PIL import Image
 
 from chromaperture.calibration.session import read_session
-from chromaperture.camera_file import Calibration
 from chromaperture.capture.exif import read_exif
 from chromaperture.capture.files import image_size, read_image
 from chromaperture.capture.open import open_source
-from chromaperture.config import AccurateConfig, Config, preset
-from chromaperture.config_file import with_file
 from chromaperture.depth.pointcloud import PointCloud, write_ply
-from chromaperture.optics.aperture_file import load_aperture
+from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.prescription import load_lens
-from chromaperture.optics.scene import load_scene
+from chromaperture.optics.printing.aperture_file import load_aperture
+from chromaperture.optics.simulator.scene import load_scene
 from chromaperture.products.posed_sequence import read_trajectory
 from chromaperture.products.result_files import read_depth, read_result
+from chromaperture.settings.methods import AccurateConfig, Config, preset
+from chromaperture.settings.toml_file import with_file
 
 pillow_heif.register_heif_opener()
 DATA = Path(__file__).parents[1] / "data"

@@ -62,7 +62,7 @@ class Trial:
     """A folder with the files of one reader, and what came of every content that was tried."""
 
     def __init__(self, reader: Reader, folder: Path, keep: Path) -> None:
-        from chromaperture.errors import InputError  # not before the readers are instrumented
+        from chromaperture.system.errors import InputError  # not before the readers are instrumented
 
         self.reader, self.keep, self.outcomes = reader, keep, collections.Counter[str]()
         self.refusal = InputError

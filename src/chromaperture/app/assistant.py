@@ -21,9 +21,9 @@ from chromaperture.calibration.tone_curve import disparity_error
 from chromaperture.capture.exif import read_exposure
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.errors import InputError
 from chromaperture.evaluation.health import Check
 from chromaperture.optics.aperture import design_named, made_of
+from chromaperture.system.errors import InputError
 
 CELLS = (6, 4)  # of the frame, in which corners are counted; chosen by hand
 FEWEST_BOARDS, ENOUGH_BOARDS = 5, 12  # for fields over the frame (`CalibrationConfig.min_field_boards`); a good dozen

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from chromaperture.app.camera_feed import CameraFeed, preview_jpeg
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 
 class CameraAnswers:

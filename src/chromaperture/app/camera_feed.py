@@ -17,7 +17,7 @@ from chromaperture.capture.open import open_source
 from chromaperture.capture.source import Event, Frame
 from chromaperture.color.encoding import CENTRED, Encoding, develop_counts
 from chromaperture.color.srgb import linear_to_srgb_bytes
-from chromaperture.errors import ChromapertureError, InputError
+from chromaperture.system.errors import ChromapertureError, InputError
 
 _WAIT_S = 8.0  # for a frame: a tethered camera takes and sends a RAW file in some 4 s; chosen by hand
 _IDLE_S = 60.0  # without a request, after which the camera is released for other programs; chosen by hand

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from chromaperture.errors import InputError, MissingDependencyError
-from chromaperture.storage import staged
-from chromaperture.viewer.access import new_token
+from chromaperture.app.live.access import new_token
+from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture.system.storage import staged
 
 _DAYS = 397  # the longest that Safari accepts, https://support.apple.com/en-us/102028
 _RENEW_DAYS = 30  # before the end; chosen by hand

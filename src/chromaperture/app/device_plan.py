@@ -16,23 +16,28 @@ import numpy as np
 
 from chromaperture.app.notes import heard
 from chromaperture.app.packed_arrays import pack_array
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_alignment import channel_shifts
-from chromaperture.camera_file import Calibration
+from chromaperture.camera.alignment import channel_shifts
+from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.capture.checks import all_black
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.color_maps import DISTANCE, ERROR, draw_levels
 from chromaperture.color.image import DARK
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.depth.pointcloud import RAY_PITCH_PX, grid_of_rays
-from chromaperture.disparity.gpu.conversion_stage import add_conversion
-from chromaperture.disparity.gpu.picture_stages import add_colored_maps, add_light_of_counts, add_sparse_maps, row_pitch
-from chromaperture.disparity.gpu.planned_chain import Exchange, PlannedChain
-from chromaperture.disparity.gpu.real_time_chain import add_real_time
-from chromaperture.disparity.nothing_to_match import constant_view, no_usable_pixel
-from chromaperture.disparity.real_time import RealTimeMethod
-from chromaperture.disparity.views import CONSTANT
-from chromaperture.errors import InputError
+from chromaperture.matching.device.conversion_stage import add_conversion
+from chromaperture.matching.device.picture_stages import (
+    add_colored_maps,
+    add_light_of_counts,
+    add_sparse_maps,
+    row_pitch,
+)
+from chromaperture.matching.device.planned_chain import Exchange, PlannedChain
+from chromaperture.matching.device.real_time_chain import add_real_time
+from chromaperture.matching.nothing_to_match import constant_view, no_usable_pixel
+from chromaperture.matching.real_time import RealTimeMethod
+from chromaperture.matching.views import CONSTANT
+from chromaperture.model.camera_file import Calibration
+from chromaperture.system.errors import InputError
 
 MOST_PX = (
     4_000_000  # of a frame: up to here cameras keep the curves of all pixels, see `CodedApertureCamera.conversion`

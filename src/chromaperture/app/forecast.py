@@ -17,7 +17,7 @@ from chromaperture.calibration.board_distances import fit_distances
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.depth_error_bound import Texture, disparity_bound
-from chromaperture.optics.sensor import SensorModel
+from chromaperture.optics.simulator.sensor import SensorModel
 
 # Standard deviations of the engraved lens's curve, before any board: focal length and f-number are known to some 5 %,
 # the f-number enters B directly, the focus distance A; chosen by hand.

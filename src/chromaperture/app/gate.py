@@ -12,8 +12,8 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
-from chromaperture.errors import InputError
-from chromaperture.viewer.access import Access
+from chromaperture.app.live.access import Access
+from chromaperture.system.errors import InputError
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from chromaperture.storage import write_png
+from chromaperture.files.pictures import write_png
 
 _DARK, _CYAN, _YELLOW, _MIDDLE = (20, 22, 26), (60, 200, 216), (233, 196, 106), (232, 230, 227)  # sRGB
 _FINE = 4  # samples of a pixel's side; chosen by hand

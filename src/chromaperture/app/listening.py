@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from chromaperture.app.certificate import NEEDS_EXTRA
-from chromaperture.errors import InputError, MissingDependencyError
-from chromaperture.viewer.access import require_host
+from chromaperture.app.live.access import require_host
+from chromaperture.system.errors import InputError, MissingDependencyError
 
 _MOST_CONNECTIONS = 64  # at a time; a browser opens six; chosen by hand
 _IDLE_S = 15  # seconds for the header of a request, and between requests; chosen by hand

@@ -7,7 +7,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator
 
-from chromaperture.errors import CaptureWarning
+from chromaperture.system.errors import CaptureWarning
 
 # Python's list of filters is one for all threads, and two that record at once would restore each other's.
 _ONE_AT_A_TIME = threading.RLock()

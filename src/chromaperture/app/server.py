@@ -21,12 +21,12 @@ from chromaperture.app.certificate import NEEDS_EXTRA
 from chromaperture.app.device_plan import color_tables
 from chromaperture.app.frame_message import pack_frame
 from chromaperture.app.gate import Gate, Refused, save_body
+from chromaperture.app.live.access import Access
+from chromaperture.app.live.free_space import require_space
 from chromaperture.app.workbench import DEPTH_INSIDE, Workbench
-from chromaperture.errors import ChromapertureError, InputError, MissingDependencyError, lacks_memory
 from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.viewer.access import Access
-from chromaperture.viewer.free_space import require_space
+from chromaperture.system.errors import ChromapertureError, InputError, MissingDependencyError, lacks_memory
 
 T = TypeVar("T")
 UPLOADS = ("/api/frames", "/api/photos", "/api/cameras", "/api/sessions")  # whose bodies may be large

@@ -21,12 +21,12 @@ from chromaperture.app.shot_checks import Reading
 from chromaperture.calibration.session import Session, read_session
 from chromaperture.calibration.session_plan import FOLDERS, PlannedSession, plan_files
 from chromaperture.capture.files import decode, is_encoded
-from chromaperture.errors import InputError
+from chromaperture.capture.shots import is_photograph
 from chromaperture.evaluation.health import Check
 from chromaperture.optics.aperture import design_named
-from chromaperture.shots import is_photograph
-from chromaperture.storage import staged, to_json
-from chromaperture.validation import Name, Table, checked, read_text
+from chromaperture.system.errors import InputError
+from chromaperture.system.storage import staged, to_json
+from chromaperture.system.validation import Name, Table, checked, read_text
 
 MOST_SHOTS = 300  # of a session; thirty boards are the most that docs/calibration-session.md asks for
 _MOST_JSON_BYTES = 16 * 2**20  # of assistant.json; chosen by hand

@@ -18,18 +18,18 @@ from chromaperture.calibration.chessboard import board_points, find_corners
 from chromaperture.calibration.read_boards import read_board
 from chromaperture.calibration.session import Session
 from chromaperture.calibration.white_sheets import WhiteSheets
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_parts import Film
 from chromaperture.color.film import completed_film
 from chromaperture.color.image import SATURATION
 from chromaperture.color.unmixing import view_reach
-from chromaperture.config import QUALITIES
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
-from chromaperture.errors import ChromapertureError
 from chromaperture.evaluation.health import Check
+from chromaperture.model.camera_file import Calibration
+from chromaperture.model.camera_parts import Film
 from chromaperture.optics.aperture import channel_transmission, design_named, made_of
 from chromaperture.optics.pinhole import centered_pinhole
+from chromaperture.settings.methods import QUALITIES
+from chromaperture.system.errors import ChromapertureError
 
 # Limits, chosen by hand from the causes named.
 _SATURATED, _DARK = 0.02, 0.05  # share of the pixels; 99th percentile, of the white level: as in `evaluation/health.py`

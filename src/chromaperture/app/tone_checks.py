@@ -8,8 +8,8 @@ import numpy as np
 
 from chromaperture.calibration.tone_curve import LEAST_RATIO, ToneCurve, disparity_error, measure_tone
 from chromaperture.color.image import SATURATION
-from chromaperture.errors import InputError
 from chromaperture.evaluation.health import Check
+from chromaperture.system.errors import InputError
 
 # Limits, chosen by hand from the causes named.
 _SATURATED, _DARK = 0.02, 0.05  # share of the pixels; 99th percentile, of full scale

@@ -23,28 +23,28 @@ from typing import Any, cast
 import numpy as np
 
 from chromaperture.app.device_plan import MOST_PX, make_plan, make_points
+from chromaperture.app.live.free_space import RESERVE_BYTES, require_space
 from chromaperture.app.notes import heard
 from chromaperture.app.session_folder import Holding
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
-from chromaperture.camera_scale import reduced_size
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.srgb import linear_to_srgb_bytes
-from chromaperture.config import QUALITIES
 from chromaperture.effects.background import BACKGROUND_EFFECTS, apply_background
 from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.refocusing import Focus
 from chromaperture.effects.restore import SharpPicture, restore
 from chromaperture.effects.transfer_functions import radius_per_disparity
-from chromaperture.errors import InputError
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.frame.other_formats import write_format
+from chromaperture.model.camera_file import Calibration
+from chromaperture.model.scale import reduced_size
 from chromaperture.products.measure_file import MeasuredFile, measure_only
-from chromaperture.storage import staged
-from chromaperture.validation import checked
-from chromaperture.viewer.free_space import RESERVE_BYTES, require_space
+from chromaperture.settings.methods import QUALITIES
+from chromaperture.system.errors import InputError
+from chromaperture.system.storage import staged
+from chromaperture.system.validation import checked
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,59}")  # of cameras and sessions: nothing that a path could be made of
 _MOST_CAMERAS = 200  # files that the page may add; chosen by hand

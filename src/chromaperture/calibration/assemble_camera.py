@@ -11,17 +11,17 @@ from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.calibration.chessboard import Intrinsics
 from chromaperture.calibration.session import Session
 from chromaperture.calibration.white_sheets import WhiteSheets
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_parts import Board, Lens
 from chromaperture.color.unmixing import mixes_three_views, view_reach
-from chromaperture.config import Quality
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.paper_form import PaperParameters, model_to_paper, paper_to_model
-from chromaperture.errors import InputError
+from chromaperture.model.camera_file import Calibration
+from chromaperture.model.camera_parts import Board, Lens
 from chromaperture.optics.aperture import design_named
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.optics.pinhole import centered_pinhole
+from chromaperture.settings.methods import Quality
+from chromaperture.system.errors import InputError
 
 
 def curve_without_blur(design: str) -> Quality:

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from chromaperture.errors import InputError
-from chromaperture.robust import huber_weights
+from chromaperture.system.errors import InputError
+from chromaperture.system.robust import huber_weights
 
 _ROUNDS = 20  # of reweighting; chosen by hand, far more than it needs
 _UNITS = {"cm": 10.0, "m": 1000.0, "inches": 25.4, "feet": 304.8}  # mm

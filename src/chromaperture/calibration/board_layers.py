@@ -12,16 +12,16 @@ from typing import cast
 
 import numpy as np
 
-from chromaperture.config import AccurateConfig
-from chromaperture.disparity.blur_evidence import SPACING_PX, BlurEvidence
-from chromaperture.disparity.clipped_areas import clipped_filled
-from chromaperture.disparity.execution import ExecutionName, execution_named
-from chromaperture.disparity.labels import IDENTITY
-from chromaperture.disparity.result import ESTIMATED_NOISE, NoiseModel
-from chromaperture.disparity.views import mixed, view_spaces
+from chromaperture.matching.clipped_areas import clipped_filled
+from chromaperture.matching.evidence.blur import SPACING_PX, BlurEvidence
+from chromaperture.matching.execution import ExecutionName, execution_named
+from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.result import ESTIMATED_NOISE, NoiseModel
+from chromaperture.matching.views import mixed, view_spaces
 from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.lens_blur import LensBlur
-from chromaperture.stage_config import CrossFilterConfig
+from chromaperture.settings.methods import AccurateConfig
+from chromaperture.settings.stages import CrossFilterConfig
 
 # Chosen by hand, not tuned.
 _SEARCHED = (6, 15)  # layers searched to either side of the expected one; the second where cells remained unknown

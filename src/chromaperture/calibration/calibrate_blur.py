@@ -18,12 +18,12 @@ from chromaperture.calibration.fit_fields import check_scale, fit_depth_field
 from chromaperture.calibration.measurement_cache import Store
 from chromaperture.calibration.progress import Progress, reported, silent
 from chromaperture.calibration.session import Session
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import sensor_noise
+from chromaperture.camera.method import sensor_noise
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.field import DepthField
-from chromaperture.errors import InputError
+from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
+from chromaperture.system.errors import InputError
 
 MIN_BOARDS = 4  # fewer leave the blur undetermined; chosen by hand
 _CELLS = 12  # along the width, in which the disparity of a board is measured; chosen by hand

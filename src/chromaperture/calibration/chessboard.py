@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from chromaperture.errors import InputError
 from chromaperture.optics.pinhole import centered_pinhole
-from chromaperture.threads import limited_opencv_threads
+from chromaperture.system.errors import InputError
+from chromaperture.system.threads import limited_opencv_threads
 
 MIN_VIEWS = 4  # two determine the pinhole, more average its errors; chosen by hand
 _PERFECT_PX = 0.01  # reprojection error below which models are equally good: corners are never better

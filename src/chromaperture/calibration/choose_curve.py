@@ -9,7 +9,7 @@ import numpy as np
 from chromaperture.calibration.board_distances import BoardDistances
 from chromaperture.calibration.fit_fields import fit_depth_field
 from chromaperture.depth.nonlinearity import Nonlinearity
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 _FOLDS = 8  # of the cross-validation; chosen by hand, not tuned
 _TRIALS = (2, 3, 4, 5, 6, 7, 8)  # terms; mirrored halves of a pupil always bias a shift matcher, see `Nonlinearity`

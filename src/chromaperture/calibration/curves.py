@@ -17,13 +17,13 @@ from chromaperture.calibration.fit_fields import check_scale, fit_depth_field
 from chromaperture.calibration.fit_local_fields import with_local
 from chromaperture.calibration.progress import Progress, reported, silent
 from chromaperture.calibration.read_boards import MEASURED, BoardMeasurement, grid
-from chromaperture.camera_parts import CameraSensor
-from chromaperture.config import Quality
 from chromaperture.depth.conversion import depth_to_disparity, disparity_to_depth
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.nonlinearity import Nonlinearity
-from chromaperture.errors import InputError
-from chromaperture.robust import robust_sigma
+from chromaperture.model.camera_parts import CameraSensor
+from chromaperture.settings.methods import Quality
+from chromaperture.system.errors import InputError
+from chromaperture.system.robust import robust_sigma
 
 _THIN = 2  # every other point of the boards' grid enters the fit: neighbours have the matcher's window in common
 # Boards on both sides reach beyond 0 by this disparity, or by this part of what they span (a phone's lens: 0.6 px).

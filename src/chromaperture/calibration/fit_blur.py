@@ -1,7 +1,7 @@
 """Fit the blur of a lens to photographs of boards at known distances, whatever their pattern.
 
 With the true blur H_k, two channels are equal after each is filtered with the blur of the other, P and Q
-(``disparity/blur_evidence.py``). The residual of a tile is ``P / |P| - Q / |Q|`` in its core, in space: a window before
+(``matching/evidence/blur.py``). The residual of a tile is ``P / |P| - Q / |Q|`` in its core, in space: a window before
 the transform would bias it by the tile's border. The roll-off of the filter is held at the blur of the last step; if it
 followed the parameters, more blur would always fit better, because it suppresses noise.
 """
@@ -18,10 +18,10 @@ import scipy.fft
 
 from chromaperture.calibration.calibration_config import DEFAULT
 from chromaperture.calibration.progress import Progress, reported, silent
-from chromaperture.disparity.stages.tiles import without_shading
-from chromaperture.errors import InputError
+from chromaperture.matching.readable.tiles import without_shading
 from chromaperture.optics.lens_blur import BlurModel, LensBlur
-from chromaperture.threads import parallel_map
+from chromaperture.system.errors import InputError
+from chromaperture.system.threads import parallel_map
 
 NAMES = tuple(f.name for f in fields(BlurModel))
 _ALL = tuple(name for name in NAMES if name != "contrast_fall")  # a number of the sensor, kept as the start has it

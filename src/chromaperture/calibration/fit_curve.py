@@ -8,8 +8,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
-from chromaperture.errors import InputError
-from chromaperture.robust import HUBER
+from chromaperture.system.errors import InputError
+from chromaperture.system.robust import HUBER
 
 _MIN_BOARDS = 3  # as many as unknowns
 _LEAST_RANGE = 0.05  # of 1 / distance, relative to the nearest board: less is one distance; chosen by hand

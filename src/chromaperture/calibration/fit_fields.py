@@ -15,8 +15,8 @@ from numpy.polynomial import chebyshev
 from chromaperture.calibration.board_distances import BoardDistances
 from chromaperture.depth.field import DepthField, polynomials
 from chromaperture.depth.nonlinearity import Nonlinearity, scaled
-from chromaperture.errors import InputError
-from chromaperture.robust import huber_weights, robust_sigma
+from chromaperture.system.errors import InputError
+from chromaperture.system.robust import huber_weights, robust_sigma
 
 # B at its smallest, of its median over the frame: less is a runaway polynomial. Vignetting takes the rim of the pupil,
 # where an open design has its film, so that its B falls to a third at the sides. Chosen by hand.

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.camera_file import Calibration
 from chromaperture.color.lens_shift import LensShift, least_fringes
-from chromaperture.disparity.views import channel_space
+from chromaperture.matching.views import channel_space
+from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.lens_otf import traced
 
 _PLACES = (9, 7)  # along width and height; vignetting and lateral colour bend less in between

@@ -17,10 +17,10 @@ from chromaperture.calibration.chessboard import MIN_VIEWS, Intrinsics, board_di
 from chromaperture.calibration.measurement_cache import Store
 from chromaperture.calibration.progress import Progress, reported
 from chromaperture.calibration.session import Session
-from chromaperture.camera_file import Calibration
 from chromaperture.color.unmixing import view_reach
-from chromaperture.errors import InputError
+from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import design_named
+from chromaperture.system.errors import InputError
 
 # Error of a corner, px, and as a fraction of the blur radius. Chosen by hand; `fit_distances` corrects it by rulers.
 _CORNER_SIGMA = 0.03

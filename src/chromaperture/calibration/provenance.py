@@ -16,10 +16,10 @@ import numba
 import numpy as np
 
 from chromaperture.calibration.calibration_config import CalibrationConfig
-from chromaperture.camera_file import Calibration
 from chromaperture.capture.exif import read_model
 from chromaperture.capture.picture_format import PictureFormat, described
-from chromaperture.shots import is_photograph
+from chromaperture.capture.shots import is_photograph
+from chromaperture.model.camera_file import Calibration
 
 
 def origin(

@@ -13,13 +13,13 @@ from chromaperture.calibration.measurement_cache import Store
 from chromaperture.calibration.place_boards import Pinhole, PlacedBoards
 from chromaperture.calibration.progress import Progress, reported
 from chromaperture.calibration.session import Session
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import sensor_noise
+from chromaperture.camera.method import sensor_noise
 from chromaperture.color.image import SATURATION
-from chromaperture.config import PaperConfig, Quality, RealTimeConfig
-from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.disparity.views import view_spaces
-from chromaperture.robust import MEDIAN_INEFFICIENCY, robust_sigma
+from chromaperture.matching.estimate import estimate_disparity
+from chromaperture.matching.views import view_spaces
+from chromaperture.model.camera_file import Calibration
+from chromaperture.settings.methods import PaperConfig, Quality, RealTimeConfig
+from chromaperture.system.robust import MEDIAN_INEFFICIENCY, robust_sigma
 
 MEASURED: tuple[Quality, ...] = ("paper", "real-time")  # qualities that match shifted views
 _MIDDLE = 1 / 3  # of the width and height: the part of the frame that counts as the axis

@@ -21,12 +21,12 @@ from chromaperture.calibration.measurement_cache import Store
 from chromaperture.calibration.progress import Progress, reported, silent
 from chromaperture.calibration.read_boards import MEASURED, grid, read_board
 from chromaperture.calibration.session import Session
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import sensor_noise
-from chromaperture.config import Quality
+from chromaperture.camera.method import sensor_noise
 from chromaperture.depth.nonlinearity import Nonlinearity
-from chromaperture.errors import InputError
+from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.lens_blur import LensBlur
+from chromaperture.settings.methods import Quality
+from chromaperture.system.errors import InputError
 
 _HALF_TILE_PX = 64  # tiles of twice this width are blended into one another; chosen by hand
 _MARGIN_PX = 8  # around the blur, for the ringing of the cut-off at the Nyquist frequency: leaves 2e-4 of the texture

@@ -19,17 +19,17 @@ import numpy as np
 from pydantic import Field
 
 from chromaperture.calibration.board_distances import check_units
-from chromaperture.camera_parts import CameraSensor
-from chromaperture.camera_scale import LEAST_SIDE_PX, SCALES, reduced_size, resized_sensor
 from chromaperture.capture.files import format_of, read_light
 from chromaperture.capture.picture_format import PictureFormat
+from chromaperture.capture.shots import counted, photographs
 from chromaperture.color.encoding import Pattern, Siting, StatedFacts
 from chromaperture.color.image import is_saturated
-from chromaperture.disparity.working_scale import reduced
-from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.matching.working_scale import reduced
+from chromaperture.model.camera_parts import CameraSensor
+from chromaperture.model.scale import LEAST_SIDE_PX, SCALES, reduced_size, resized_sensor
 from chromaperture.optics.aperture import DESIGNS, design_named
-from chromaperture.shots import counted, photographs
-from chromaperture.validation import (
+from chromaperture.system.errors import CaptureWarning, InputError
+from chromaperture.system.validation import (
     LARGEST_SIDE,
     Name,
     NotNegative,

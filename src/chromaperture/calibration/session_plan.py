@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 from chromaperture.calibration.session import SHEETS
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import design_named
+from chromaperture.system.errors import InputError
 
 FOLDERS = ("board", "tilt", "white", "scene")
 # A lean of the board, and its place in the frame: what determines the pinhole; chosen by hand.

@@ -19,10 +19,10 @@ import numpy as np
 
 from chromaperture.color.image import SATURATION
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import design_named, made_of
 from chromaperture.optics.pupil_samples import pupil_samples
-from chromaperture.robust import MAD_TO_SIGMA
+from chromaperture.system.errors import InputError
+from chromaperture.system.robust import MAD_TO_SIGMA
 
 LEAST_RATIO = 1.4  # of two exposures: half a stop; less, and q is known to 0.15 at best; chosen by hand
 _BLOCKS = 24  # along the shorter side of a picture, whose means are compared; chosen by hand

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from chromaperture.calibration.session import SHEETS, Session
-from chromaperture.camera_parts import CameraSensor, Film
 from chromaperture.capture.developed import UNMIXED, is_developed
 from chromaperture.capture.exif import read_noise_profile
 from chromaperture.color.film import completed_film
 from chromaperture.color.noise import fit_photon_noise, noise_samples, photon_noise_of_sheets
 from chromaperture.color.unmixing import own_film_unmixing
-from chromaperture.errors import InputError
+from chromaperture.model.camera_parts import CameraSensor, Film
 from chromaperture.optics.aperture import channel_transmission, design_named
+from chromaperture.system.errors import InputError
 
 _NOISE_BOARDS = 8  # boards that the noise is fitted to where there is no sheet: more were not needed; chosen by hand
 _MOST_TRANSMISSION = 1.15  # of a film in a channel: 1, and uneven light; chosen by hand

@@ -12,7 +12,7 @@ from chromaperture.capture.bayer import superpixels
 from chromaperture.capture.source import Frame
 from chromaperture.capture.threaded_source import DeviceLostError, not_there
 from chromaperture.color.encoding import Encoding
-from chromaperture.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import InputError, MissingDependencyError
 
 _BUFFERS = 8  # frames in flight; chosen by hand, not tuned
 _ORDER = ("12", "10", "16", "8")  # bits, unpacked, by preference: more than 12 only cost bandwidth

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.color.encoding import PATTERNS, Encoding, Offsets
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 # A Bayer mosaic's 2 x 2 cells have the same mean colours wherever they are, a Quad-Bayer's photosites within a cell:
 # of the sample capture .0002 and .275 of the mean apart, the other way round for quad. Chosen by hand between.

@@ -13,7 +13,7 @@ from chromaperture.capture.picture_format import FORM, PictureFormat
 from chromaperture.capture.picture_header import other_size
 from chromaperture.color.encoding import Encoding
 from chromaperture.color.image import DARK, SATURATION, checked_image
-from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.system.errors import CaptureWarning, InputError
 
 # Chosen by hand, not tuned:
 _MOST_SATURATED, _MUCH_SATURATED = 0.98, 0.05  # fractions of the pixels: an error, a warning

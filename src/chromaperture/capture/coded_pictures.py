@@ -28,7 +28,7 @@ from chromaperture.capture.tiff import decode_tiff, no_check, tiff_header
 from chromaperture.color.color_space import UNTAGGED, ColorSpace
 from chromaperture.color.color_tags import of_exif, of_icc, of_png
 from chromaperture.color.encoding import Encoding, Pattern, StatedFacts
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
     import av.container

@@ -16,7 +16,7 @@ from chromaperture.capture.native_planes import ENCODED_WHITE, Planes, rgb_of_pl
 from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat, known_from_tags
 from chromaperture.color.color_space import ColorSpace, of_codes
 from chromaperture.color.encoding import NOTHING_STATED, Siting, StatedFacts
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 logging.getLogger("libav").addHandler(logging.NullHandler())  # as for tifffile: an error is one line of ours
 av.logging.set_level(av.logging.ERROR)

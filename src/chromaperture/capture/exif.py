@@ -13,7 +13,7 @@ import tifffile
 from PIL import Image
 
 from chromaperture.capture.picture_header import TIFF_MARKS, open_picture
-from chromaperture.validation import MOST_FILE_BYTES, read_bytes
+from chromaperture.system.validation import MOST_FILE_BYTES, read_bytes
 
 JPEG_MARK = b"\xff\xd8"  # the first bytes of the file
 # Tags of the EXIF standard.

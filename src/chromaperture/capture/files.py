@@ -21,6 +21,7 @@ from chromaperture.capture.coded_pictures import counts_of_data, format_of_data,
 from chromaperture.capture.picture_format import PictureFormat
 from chromaperture.capture.picture_header import check_size, same_frame
 from chromaperture.capture.raw_container import holds_raw
+from chromaperture.capture.shots import is_raw
 from chromaperture.capture.source import choose_encoding
 from chromaperture.color.encoding import (
     CENTRED,
@@ -32,9 +33,8 @@ from chromaperture.color.encoding import (
     develop_counts,
     format_encoding,
 )
-from chromaperture.errors import CaptureWarning, InputError
-from chromaperture.shots import is_raw
-from chromaperture.validation import MOST_FILE_BYTES, read_bytes
+from chromaperture.system.errors import CaptureWarning, InputError
+from chromaperture.system.validation import MOST_FILE_BYTES, read_bytes
 
 _MOST_SATURATED = 0.98  # fraction of the pixels at one largest count; as in `check_capture`
 _SPARSE = 61  # rows and columns: a colour picture is hardly ever grey at all of their crossings

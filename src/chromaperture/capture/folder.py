@@ -12,10 +12,10 @@ from typing import Any, Literal
 from chromaperture.capture.files import read_counts
 from chromaperture.capture.picture_format import described
 from chromaperture.capture.recording import HEADER
+from chromaperture.capture.shots import counted, photographs
 from chromaperture.capture.source import Event, FileSource, Frame, Listener, checked_fps
 from chromaperture.color.encoding import Encoding, Pattern, Siting, StatedFacts
-from chromaperture.errors import InputError, MissingDependencyError
-from chromaperture.shots import counted, photographs
+from chromaperture.system.errors import InputError, MissingDependencyError
 
 
 class FolderSource(FileSource):

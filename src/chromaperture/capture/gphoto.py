@@ -13,7 +13,7 @@ from chromaperture.capture.picture_format import described
 from chromaperture.capture.source import Event, FileSource, Frame, Listener
 from chromaperture.capture.threaded_source import not_there
 from chromaperture.color.encoding import Encoding
-from chromaperture.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import InputError, MissingDependencyError
 
 
 def load_gphoto2() -> Any:

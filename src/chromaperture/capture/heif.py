@@ -14,7 +14,7 @@ from chromaperture.capture.picture_header import brands
 from chromaperture.color.color_space import UNTAGGED, of_codes
 from chromaperture.color.color_tags import of_icc
 from chromaperture.color.encoding import StatedFacts
-from chromaperture.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import InputError, MissingDependencyError
 
 _CHROMA = {420: (2, 2), 422: (2, 1), 444: (1, 1)}
 # Boxes of ISO 23008-12, 6.5.10 and 6.5.12: quarters of a turn, counterclockwise, and a mirror.

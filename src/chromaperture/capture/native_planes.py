@@ -20,7 +20,7 @@ import numpy as np
 
 from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat
 from chromaperture.color.encoding import Siting
-from chromaperture.threads import each_band
+from chromaperture.system.threads import each_band
 
 ENCODED_WHITE = 255.0  # of counts that were made from luma and chroma, whatever their bits
 

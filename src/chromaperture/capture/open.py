@@ -17,14 +17,14 @@ from chromaperture.capture.gphoto import TetheredCamera, tethered_cameras
 from chromaperture.capture.picamera import PiCamera, pi_cameras
 from chromaperture.capture.playback import played
 from chromaperture.capture.recording import ReplaySource
+from chromaperture.capture.shots import VIDEOS
 from chromaperture.capture.simulated import SimulatedSource
 from chromaperture.capture.source import FileSource, Listener, Source
 from chromaperture.capture.threaded_source import LiveSource
 from chromaperture.capture.video import VideoSource
 from chromaperture.capture.webcam import Webcam, webcams
 from chromaperture.color.encoding import Encoding
-from chromaperture.errors import InputError, MissingDependencyError
-from chromaperture.shots import VIDEOS
+from chromaperture.system.errors import InputError, MissingDependencyError
 
 _DEVICES: dict[str, Callable[..., Any]] = {"webcam": Webcam, "aravis": AravisCamera, "picamera2": PiCamera}
 _FILES: dict[str, Callable[..., FileSource]] = {

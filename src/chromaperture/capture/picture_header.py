@@ -18,9 +18,9 @@ from PIL import (
     WebPImagePlugin,
 )
 
-from chromaperture.deflate import crc32
-from chromaperture.errors import InputError
-from chromaperture.validation import MOST_PIXELS
+from chromaperture.system.deflate import crc32
+from chromaperture.system.errors import InputError
+from chromaperture.system.validation import MOST_PIXELS
 
 logging.getLogger("PIL").addHandler(logging.NullHandler())  # as for tifffile: an error is one line of ours
 # PNG packs an even area to 340 pixels a byte, JPEG a photograph to 20. libjpeg paints what is missing grey.

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from chromaperture.capture.source import FileSource, Frame, Listener
 from chromaperture.capture.threaded_source import LiveSource, StreamEndedError
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 _KEPT_BYTES = 512 << 20  # frames of a loop that are cached: 290 of VGA in 16 bits
 _INTERVAL_S = 1 / 30  # of a loop of one picture: the frame rate that other sources assume

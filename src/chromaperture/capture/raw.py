@@ -16,8 +16,8 @@ from chromaperture.capture.picture_format import SENSOR_LIGHT, PictureFormat
 from chromaperture.capture.picture_header import check_size
 from chromaperture.capture.raw_container import black_of_cells, check_complete, check_kind, developed
 from chromaperture.color.encoding import PATTERNS, Encoding
-from chromaperture.errors import InputError, MissingDependencyError
-from chromaperture.validation import quoted
+from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture.system.validation import quoted
 
 _TURNS = {3: 180, 5: 270, 6: 90}  # LibRaw's codes of an orientation, degrees clockwise
 

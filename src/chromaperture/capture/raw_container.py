@@ -12,7 +12,7 @@ import numpy as np
 import tifffile
 
 from chromaperture.capture.picture_header import TIFF_MARKS
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 _BOX_TYPE = b"ftyp"  # of the first box of an ISO base media file (ISO 14496-12), which CR3 is
 _MARKS = (b"FUJIFILMCCD-RAW", b"IIU\0", b"IIRO", b"IIRS", b"MMOR", b"FOVb")  # RAF, RW2, three of ORF, X3F

@@ -27,8 +27,8 @@ from chromaperture.capture.recording_index import EncodingEntry, Entry, entry_of
 from chromaperture.capture.source import Event, FileSource, Frame, Listener, choose_encoding
 from chromaperture.capture.tiff import decode_tiff
 from chromaperture.color.encoding import Encoding, format_encoding
-from chromaperture.errors import InputError
-from chromaperture.validation import quoted, read_bytes
+from chromaperture.system.errors import InputError
+from chromaperture.system.validation import quoted, read_bytes
 
 _FORMATS = [f"chromaperture recording {number}" for number in (1, 2, 3)]
 _FORMAT, _FIRST_FORMAT = _FORMATS[-1], _FORMATS[0]

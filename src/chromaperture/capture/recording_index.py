@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from chromaperture.color.color_space import TRANSFERS
-from chromaperture.errors import InputError
-from chromaperture.validation import Finite, Table, checked
+from chromaperture.system.errors import InputError
+from chromaperture.system.validation import Finite, Table, checked
 
 _LINE = re.compile(rb'(\{.*), "line_crc32": "([0-9a-f]{8})"\}')  # the checksum is that of the bytes before it
 _LONGEST = 1_000_000  # bytes of a line; metadata of cameras have some 100

@@ -13,16 +13,16 @@ import numpy as np
 from chromaperture.capture.folder import natural
 from chromaperture.capture.source import FileSource, Frame, Listener, checked_fps
 from chromaperture.color.encoding import Encoding
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, made_of
-from chromaperture.optics.aperture_file import load_aperture
-from chromaperture.optics.layer_renderer import render_layers
 from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.optics.printing.aperture_file import load_aperture
 from chromaperture.optics.ray_table import pinhole_rays
-from chromaperture.optics.render import render
-from chromaperture.optics.rgbd import read_rgbd
-from chromaperture.optics.scene import load_scene
-from chromaperture.optics.sensor import SensorModel, expose
+from chromaperture.optics.simulator.layer_renderer import render_layers
+from chromaperture.optics.simulator.render import render
+from chromaperture.optics.simulator.rgbd import read_rgbd
+from chromaperture.optics.simulator.scene import load_scene
+from chromaperture.optics.simulator.sensor import SensorModel, expose
+from chromaperture.system.errors import InputError
 
 _KINECT = 585 / 640  # focal length over width, of a Kinect; the default
 _PITCH_MM = 0.02  # has no effect on the picture: geometry is in px

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat
-from chromaperture.robust import MEDIAN_INEFFICIENCY, robust_sigma
+from chromaperture.system.robust import MEDIAN_INEFFICIENCY, robust_sigma
 
 LEAST_CONTRAST = 0.4  # of Y/B - Y/R: half a pixel of chroma is then .2 px of R against B
 _LEAST_WINDOWS = 4

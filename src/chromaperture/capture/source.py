@@ -20,7 +20,7 @@ import numpy as np
 
 from chromaperture.color.encoding import CENTRED, Encoding, develop_counts
 from chromaperture.color.image import DARK
-from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.system.errors import CaptureWarning, InputError
 
 _TWELVE_BITS = 4096  # a 16-bit file with no count above is likely that of a sensor of 12 bits or fewer
 

@@ -11,7 +11,7 @@ from typing import Protocol, Self
 import numpy as np
 
 from chromaperture.capture.source import Event, Frame, Listener, log_event, steady
-from chromaperture.errors import ChromapertureError, InputError
+from chromaperture.system.errors import ChromapertureError, InputError
 
 
 class DeviceLostError(Exception):

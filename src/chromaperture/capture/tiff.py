@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 import tifffile
 
-from chromaperture.errors import CaptureWarning, InputError
-from chromaperture.validation import MOST_PIXELS
+from chromaperture.system.errors import CaptureWarning, InputError
+from chromaperture.system.validation import MOST_PIXELS
 
 # An error is one line of ours: without a handler, Python prints what libraries log.
 logging.getLogger("tifffile").addHandler(logging.NullHandler())

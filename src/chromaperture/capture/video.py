@@ -15,7 +15,7 @@ from chromaperture.capture.decoded_frame import counts_of_frame, format_of_frame
 from chromaperture.capture.picture_format import PictureFormat, described
 from chromaperture.capture.source import Event, FileSource, Frame, Listener, checked_fps, choose_encoding
 from chromaperture.color.encoding import Encoding, Siting, StatedFacts
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 _WHITELISTS = {
     "protocol_whitelist": "file",

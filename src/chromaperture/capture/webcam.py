@@ -14,7 +14,7 @@ from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat, de
 from chromaperture.capture.source import Frame, choose_encoding
 from chromaperture.capture.threaded_source import DeviceLostError, not_there
 from chromaperture.color.encoding import Encoding, Siting, StatedFacts
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 _BYTES = {"YUYV": (0, 1), "YUY2": (0, 1), "UYVY": (1, 0)}  # of luma and chroma in a pixel
 _FORMATS = (*_BYTES, "NV12", "MJPG")

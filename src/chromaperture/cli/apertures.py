@@ -10,7 +10,7 @@ import typer
 
 from chromaperture.cli.checks import check_output
 from chromaperture.cli.options import Film, FocusMm, Json, Lens, Quiet, SensorWidthMm, Width
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
     from chromaperture.optics.aperture import Aperture
@@ -41,12 +41,12 @@ def apertures(
     """
     from chromaperture.cli.console import print_json
     from chromaperture.optics.aperture import DESIGNS, made_of
-    from chromaperture.optics.aperture_file import load_aperture
     from chromaperture.optics.paraxial import focused_at
     from chromaperture.optics.pinhole import pupil_camera
     from chromaperture.optics.prescription import load_lens
-    from chromaperture.optics.template import write_template
-    from chromaperture.storage import staged
+    from chromaperture.optics.printing.aperture_file import load_aperture
+    from chromaperture.optics.printing.template import write_template
+    from chromaperture.system.storage import staged
 
     names = design or list(DESIGNS)
     if template and len(names) != 1:

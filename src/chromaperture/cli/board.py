@@ -26,8 +26,8 @@ def board(
 
     chromaperture board --out board.pdf --paper a4      (squares of 22 mm)
     """
-    from chromaperture.optics.board_pattern import board_page, write_board
-    from chromaperture.storage import staged
+    from chromaperture.optics.printing.board_pattern import board_page, write_board
+    from chromaperture.system.storage import staged
 
     columns, rows = inner_corners(board)
     page = board_page(columns=columns, rows=rows, square_mm=square_mm, paper=paper)

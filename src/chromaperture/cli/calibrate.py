@@ -52,11 +52,11 @@ def calibrate(
     """
     from chromaperture.calibration.calibrate_session import calibrate_session
     from chromaperture.calibration.calibration_config import CalibrationConfig
-    from chromaperture.camera_file import Calibration
     from chromaperture.cli.console import after_compilation, print_files, print_json, progress, say_warning
     from chromaperture.evaluation.accurate_noise import with_accurate_noise
     from chromaperture.evaluation.verdict import unusable
-    from chromaperture.storage import staged
+    from chromaperture.model.camera_file import Calibration
+    from chromaperture.system.storage import staged
 
     page = report or out.with_suffix(".report.html")
     check_output(out, ".asdf", inputs=[lens_from])

@@ -19,7 +19,7 @@ from chromaperture.cli.options import (
     WhiteLevel,
     inner_corners,
 )
-from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.system.errors import CaptureWarning, InputError
 
 if TYPE_CHECKING:
     from chromaperture.evaluation.health import Check
@@ -60,13 +60,13 @@ def check(
 
     chromaperture check neutral.jpg --coloured orange.jpg --camera camera.asdf
     """
-    from chromaperture.camera import CodedApertureCamera
-    from chromaperture.camera_file import Calibration
-    from chromaperture.camera_parts import Board
+    from chromaperture.camera.camera import CodedApertureCamera
     from chromaperture.capture.developed import other_colours
     from chromaperture.capture.exif import read_exif
     from chromaperture.cli.setup import stated_facts, with_stated
     from chromaperture.evaluation.health import Check, check_camera, outcome
+    from chromaperture.model.camera_file import Calibration
+    from chromaperture.model.camera_parts import Board
 
     calibration = with_stated(Calibration.load(camera), stated_facts(siting, primaries, mosaic))
     if coloured is not None:

@@ -8,12 +8,12 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.system.errors import CaptureWarning, InputError
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from chromaperture.camera import CodedApertureCamera
+    from chromaperture.camera.camera import CodedApertureCamera
     from chromaperture.capture.source import Frame
 
 
@@ -60,9 +60,9 @@ def film_doubts(camera: CodedApertureCamera, image: np.ndarray, name: str, *, re
     InputError
         As `check_film`.
     """
-    from chromaperture.camera_scale import at_scale
-    from chromaperture.disparity.working_scale import reduced
     from chromaperture.evaluation.health import film_match
+    from chromaperture.matching.working_scale import reduced
+    from chromaperture.model.scale import at_scale
 
     if not camera.shows_frame_at(image.shape[1::-1]):
         return ""  # without a film to compare with; the size is refused later

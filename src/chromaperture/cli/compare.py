@@ -9,10 +9,10 @@ import typer
 
 from chromaperture.cli.checks import check_output
 from chromaperture.cli.options import Json, Quality, Quiet
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
-    from chromaperture.pages.map_page import Page
+    from chromaperture.files.map_page import Page
 
 
 def compare(
@@ -33,8 +33,8 @@ def compare(
     """
     from chromaperture.cli.console import out as console
     from chromaperture.cli.console import print_json
-    from chromaperture.pages.map_page import render
-    from chromaperture.storage import staged
+    from chromaperture.files.map_page import render
+    from chromaperture.system.storage import staged
 
     cameras = [path.suffix == ".asdf" for path in (a, b)]
     if any(cameras) and not all(cameras):
@@ -71,9 +71,9 @@ def _maps(a: Path, b: Path) -> tuple[dict[str, Any], Page]:
 
 
 def _cameras(a: Path, b: Path, quality: str) -> tuple[dict[str, Any], Page]:
-    from chromaperture.camera_file import Calibration
     from chromaperture.evaluation.compare import compare_cameras
     from chromaperture.evaluation.compare_page import camera_page
+    from chromaperture.model.camera_file import Calibration
 
     names = (a.name, b.name) if a.name != b.name else (_with_folder(a), _with_folder(b))
     found = compare_cameras(Calibration.load(a), Calibration.load(b), names=names, quality=quality)

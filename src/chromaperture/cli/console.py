@@ -25,10 +25,10 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from chromaperture.errors import CaptureWarning
+from chromaperture.system.errors import CaptureWarning
 
 if TYPE_CHECKING:
-    from chromaperture.camera import CodedApertureCamera
+    from chromaperture.camera.camera import CodedApertureCamera
     from chromaperture.products.measure_file import Written
 
 Update = Callable[[str, int, int], None]  # what is being done, how many are done, of how many; 0: nobody knows
@@ -188,7 +188,7 @@ def after_compilation(update: Update, *qualities: str, quiet: bool) -> Update:
 
 
 def _compile(update: Update, *qualities: str, quiet: bool) -> None:
-    from chromaperture.compile_ahead import compile_ahead
+    from chromaperture.system.compile_ahead import compile_ahead
 
     waiting = [not quiet]
 
@@ -270,6 +270,6 @@ def print_files(files: list[Path]) -> None:
 
 def print_json(value: Any) -> None:
     """Print JSON on standard output."""
-    from chromaperture.storage import to_json
+    from chromaperture.system.storage import to_json
 
     print(to_json(value))

@@ -11,7 +11,7 @@ import typer
 from chromaperture.cli.options import Json, Quiet
 
 if TYPE_CHECKING:
-    from chromaperture.camera import DepthFrame
+    from chromaperture.camera.camera import DepthFrame
     from chromaperture.products.measure_file import Report
 
 _CAPTIONS = {
@@ -31,7 +31,7 @@ def demo(
     """Measure the captures that come with the package and write their depth maps."""
     from rich.markup import escape
 
-    from chromaperture.camera import load_camera
+    from chromaperture.camera.camera import load_camera
     from chromaperture.cli.console import announce_duration, compile_kernels, print_json, print_reports, progress
     from chromaperture.cli.console import out as console
     from chromaperture.frame.preview import middle_range

@@ -32,10 +32,10 @@ from chromaperture.cli.options import (
 )
 from chromaperture.cli.options import crop_origin as crop_from
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
-from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.system.errors import CaptureWarning, InputError
 
 if TYPE_CHECKING:
-    from chromaperture.camera import CodedApertureCamera
+    from chromaperture.camera.camera import CodedApertureCamera
     from chromaperture.products.archive_cluster import Recipe
 
 
@@ -101,9 +101,9 @@ def depth(
     chromaperture depth archive/ --camera camera.asdf --cluster tcp://10.0.0.1:8786 --out s3://bucket/depth
     """
     from chromaperture.capture.files import format_of
+    from chromaperture.capture.shots import VIDEOS
     from chromaperture.color.encoding import StatedFacts
     from chromaperture.products.archive_store import as_path, find_photographs, is_url, names_in_list
-    from chromaperture.shots import VIDEOS
 
     listed = [] if files_from is None else names_in_list(files_from)
     if cluster is None and any(is_url(name) for name in (*(images or ()), *listed, out or "")):
@@ -170,8 +170,8 @@ def depth(
 
 def kind_of_files(camera: Path | None) -> str:
     """Return the suffix of the photographs that a camera was calibrated on; empty where it does not tell."""
-    from chromaperture.camera_file import Calibration
-    from chromaperture.shots import is_photograph
+    from chromaperture.capture.shots import is_photograph
+    from chromaperture.model.camera_file import Calibration
 
     files = {} if camera is None else Calibration.load(camera).provenance.get("files", {})
     return next((path.suffix.lower() for path in map(Path, files) if is_photograph(path)), "")
@@ -179,7 +179,7 @@ def kind_of_files(camera: Path | None) -> str:
 
 def jobs_in_memory(camera: CodedApertureCamera, jobs: int) -> int:
     """Return how many photographs at a time have memory; warns where these are fewer than asked for."""
-    from chromaperture.camera_memory import fitting_jobs, needed_bytes
+    from chromaperture.camera.memory import fitting_jobs, needed_bytes
 
     fitting = fitting_jobs(camera.calibration, camera.config, jobs)
     if fitting < jobs:

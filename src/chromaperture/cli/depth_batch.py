@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from chromaperture.capture.shots import counted
 from chromaperture.cli.console import announce_duration, out, print_json, print_reports, progress, say_error
-from chromaperture.errors import CaptureWarning, ChromapertureError
 from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.products.archive import Failure, Kept, measure_files
 from chromaperture.products.archive_cluster import Recipe, RecipeOrigin
 from chromaperture.products.archive_store import absolute
 from chromaperture.products.batch import measure_in_processes
 from chromaperture.products.measure_file import Written
-from chromaperture.shots import counted
+from chromaperture.system.errors import CaptureWarning, ChromapertureError
 
 if TYPE_CHECKING:
-    from chromaperture.camera import CodedApertureCamera
+    from chromaperture.camera.camera import CodedApertureCamera
 
 MOST_COLUMNS = 6  # photographs in a table of results; more are counted. Six fit a line of 160 letters
 

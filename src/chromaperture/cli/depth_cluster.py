@@ -11,8 +11,8 @@ import typer
 
 from chromaperture.cli.console import out, print_json, progress, say_error
 from chromaperture.cli.depth_batch import print_left_out
-from chromaperture.errors import CaptureWarning, InputError
 from chromaperture.products.archive_cluster import Outcome, Recipe, measure_on_cluster
+from chromaperture.system.errors import CaptureWarning, InputError
 
 
 def measure_archive(

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from chromaperture.cli.options import Json, Quiet
-from chromaperture.errors import InputError
-from chromaperture.evaluation.paper.registry import EXHIBITS
+from chromaperture.system.errors import InputError
+from chromaperture_paper.registry import EXHIBITS
 
 if TYPE_CHECKING:
-    from chromaperture.evaluation.paper.exhibit import Exhibit
-    from chromaperture.evaluation.paper.run import Outcome
+    from chromaperture_paper.exhibit import Exhibit
+    from chromaperture_paper.run import Outcome
 
 
 def evaluate(
@@ -49,10 +49,10 @@ def evaluate(
     The names are those of this list, or "all":
     """
     from chromaperture.cli.console import compile_kernels, print_json, progress, say_warning
-    from chromaperture.cluster import dask_distributed
-    from chromaperture.evaluation.paper.context import Context
-    from chromaperture.evaluation.paper.html_page import write_page
-    from chromaperture.evaluation.paper.run import evaluate as run
+    from chromaperture.system.cluster import dask_distributed
+    from chromaperture_paper.context import Context
+    from chromaperture_paper.html_page import write_page
+    from chromaperture_paper.run import evaluate as run
 
     if workers < 0:
         raise InputError(f"--workers must be at least 0, got {workers}")
@@ -88,7 +88,7 @@ evaluate.__doc__ = f"{inspect.cleandoc(evaluate.__doc__ or '')}\n\n\b\n" + "\n".
 
 def _chosen(names: list[str], data: Path | None) -> list[Exhibit]:
     """Return the exhibits to make; raises InputError for those named that have no input."""
-    from chromaperture.evaluation.paper.registry import chosen
+    from chromaperture_paper.registry import chosen
 
     if data is not None and not data.is_dir():
         raise InputError(f"--data {data} is no folder: give the one that holds the sessions, or leave it out")

@@ -12,7 +12,7 @@ import typer
 from chromaperture.cli.checks import check_film
 from chromaperture.cli.options import Anyway, BlackLevel, Camera, Device, MaxRelativeSigma, Quality, Quiet, WhiteLevel
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from chromaperture.cli.options import Json, Quiet
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 _LEFT_OUT = ("boards", "files")  # of the provenance: long lists, which --json prints
 
@@ -34,8 +34,8 @@ def info(
         raise InputError("give a camera file, or --devices")
     from rich.markup import escape
 
-    from chromaperture.camera_file import Calibration
     from chromaperture.cli.console import out, print_json, table
+    from chromaperture.model.camera_file import Calibration
 
     summary = Calibration.load(camera).summary()
     if json:
@@ -55,9 +55,9 @@ def _show_devices(*, json: bool, quiet: bool) -> None:
     from rich.markup import escape
 
     from chromaperture.cli.console import out, print_json, table
-    from chromaperture.disparity.gpu.device import adapters, has_extra
-    from chromaperture.disparity.gpu.gpu_method import chosen_device
-    from chromaperture.threads import thread_count
+    from chromaperture.matching.device.device import adapters, has_extra
+    from chromaperture.matching.device.gpu_method import chosen_device
+    from chromaperture.system.threads import thread_count
 
     found = adapters()
     chosen = chosen_device("auto")

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
+from chromaperture.app.live.free_space import RESERVE_BYTES
+from chromaperture.app.live.watchdog import WATCHDOG_S, Watchdog
 from chromaperture.cli.options import (
     BlackLevel,
     Camera,
@@ -25,14 +27,12 @@ from chromaperture.cli.options import (
     WhiteLevel,
 )
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
-from chromaperture.viewer.free_space import RESERVE_BYTES
-from chromaperture.viewer.watchdog import WATCHDOG_S, Watchdog
 
 if TYPE_CHECKING:
-    from chromaperture.camera import CodedApertureCamera
+    from chromaperture.app.live.loop import LiveLoop
+    from chromaperture.app.live.page import LivePage
+    from chromaperture.camera.camera import CodedApertureCamera
     from chromaperture.products.foxglove_stream import FoxgloveStream
-    from chromaperture.viewer.loop import LiveLoop
-    from chromaperture.viewer.page import LivePage
 
 
 def live(
@@ -81,14 +81,14 @@ def live(
 
     Example: chromaperture live "webcam:0?exposure_us=5000" --camera camera.asdf
     """
+    from chromaperture.app.live.access import is_every_address, viser
+    from chromaperture.app.live.loop import FUSE_EVERY, LiveLoop
+    from chromaperture.app.live.page import LivePage
     from chromaperture.cli.checks import film_doubts
     from chromaperture.cli.console import compile_kernels, print_json, say_warning
     from chromaperture.cli.setup import camera_for
     from chromaperture.cli.streams import open_stream
     from chromaperture.reconstruction.settings import ReconstructionConfig
-    from chromaperture.viewer.access import is_every_address, viser
-    from chromaperture.viewer.loop import FUSE_EVERY, LiveLoop
-    from chromaperture.viewer.page import LivePage
 
     if page:
         viser()  # before the work: the extra may be missing
@@ -127,7 +127,7 @@ def live(
                 elsewhere = shown.access.url(shown.server.get_port(), host=socket.gethostname())
                 typer.echo(f"From other machines: {elsewhere}", err=json or quiet)
         if stream_to is not None:
-            from chromaperture.viewer.streaming import Streaming
+            from chromaperture.app.live.streaming import Streaming
 
             opened.enter_context(stream_to)
             opened.enter_context(Streaming(loop, stream_to))

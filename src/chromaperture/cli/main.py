@@ -17,7 +17,7 @@ from chromaperture.cli import new_session
 from chromaperture.cli.console import forget_warnings, say_error, show_warning
 from chromaperture.cli.simulate import simulate_rgbd
 from chromaperture.cli.terminal import stop_on_signals
-from chromaperture.errors import FREE_MEMORY, CaptureWarning, ChromapertureError, lacks_memory
+from chromaperture.system.errors import FREE_MEMORY, CaptureWarning, ChromapertureError, lacks_memory
 
 app = typer.Typer(
     help="Depth in millimetres from one photograph through a colour-coded aperture.",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from chromaperture.cli.options import BOARDS_PANEL, CAMERA_PANEL, FarthestMm, Mosaic, NearestMm, Quiet, inner_corners
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
     from chromaperture.color.encoding import StatedFacts
@@ -60,7 +60,7 @@ def new(
     from chromaperture.calibration.session_plan import FOLDERS, PlannedSession, plan_files
     from chromaperture.cli.setup import stated_facts
     from chromaperture.optics.aperture import design_named
-    from chromaperture.storage import staged
+    from chromaperture.system.storage import staged
 
     stated = stated_facts(None, None, mosaic)
     plan = PlannedSession(

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")]
 Anyway = Annotated[bool, typer.Option("--anyway", help="Measure even through a film that is not the camera's.")]

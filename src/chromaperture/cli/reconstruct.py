@@ -21,7 +21,7 @@ from chromaperture.cli.options import (
     VoxelMm,
     WhiteLevel,
 )
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 
 def reconstruct(
@@ -49,10 +49,10 @@ def reconstruct(
 
     Example: chromaperture reconstruct replay:session/walk --camera camera.asdf --out model
     """
-    from chromaperture.camera_file import Calibration
     from chromaperture.cli.console import compile_kernels, print_files, print_json, progress, say_warning
     from chromaperture.cli.setup import camera_for
     from chromaperture.cli.streams import open_stream
+    from chromaperture.model.camera_file import Calibration
     from chromaperture.reconstruction.build_model import reconstruct as build
     from chromaperture.reconstruction.build_model import write_model
     from chromaperture.reconstruction.settings import ReconstructionConfig

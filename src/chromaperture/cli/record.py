@@ -37,10 +37,10 @@ def record(
 
     Example: chromaperture record "webcam:0?exposure_us=5000" --out session/walk
     """
-    from chromaperture.camera_file import Calibration
     from chromaperture.capture.recording import Recorder
     from chromaperture.cli.console import print_json, progress
     from chromaperture.cli.streams import open_stream
+    from chromaperture.model.camera_file import Calibration
 
     calibration = None if camera is None else Calibration.load(camera)
     began = time.monotonic()

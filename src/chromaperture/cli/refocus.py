@@ -23,12 +23,12 @@ from chromaperture.cli.options import (
     Quiet,
     WhiteLevel,
 )
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from chromaperture.camera import CodedApertureCamera
+    from chromaperture.camera.camera import CodedApertureCamera
     from chromaperture.effects.refocusing import Focus
     from chromaperture.effects.restore import SharpPicture
 
@@ -172,7 +172,8 @@ def _write(picture: SharpPicture, lens: Focus, request: _Request, camera: CodedA
     from chromaperture.effects.background import apply_background
     from chromaperture.effects.focus_sweep import sweep, write_sweep
     from chromaperture.effects.refocus_device import compositor_of
-    from chromaperture.storage import staged, write_color_png
+    from chromaperture.files.pictures import write_color_png
+    from chromaperture.system.storage import staged
 
     on, color, radius = compositor_of(camera), picture.color, picture.radius_px
     with staged(request.target.parent) as stage:

@@ -6,14 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import default_config
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
 from chromaperture.capture.files import image_size
 from chromaperture.color.encoding import NOTHING_STATED, StatedFacts
-from chromaperture.config import Quality
-from chromaperture.config_file import with_file
-from chromaperture.errors import InputError
+from chromaperture.model.camera_file import Calibration
+from chromaperture.settings.methods import Quality
+from chromaperture.settings.toml_file import with_file
+from chromaperture.system.errors import InputError
 
 
 def camera_for(

@@ -25,7 +25,7 @@ from chromaperture.cli.options import (
     SimulatedDesign,
     Width,
 )
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
     from chromaperture.optics import aperture as optics_aperture
@@ -71,9 +71,9 @@ def simulate(
     from chromaperture.optics.pinhole import pupil_camera
     from chromaperture.optics.prescription import load_lens, with_filter_at
     from chromaperture.optics.ray_table import RayTable, lens_rays, pinhole_rays
-    from chromaperture.optics.scene import load_scene
-    from chromaperture.optics.simulated_session import SessionPlan, write_session
-    from chromaperture.storage import staged
+    from chromaperture.optics.simulator.scene import load_scene
+    from chromaperture.optics.simulator.session import SessionPlan, write_session
+    from chromaperture.system.storage import staged
 
     if (out / "session.toml").exists():
         raise InputError(f"{out} holds a session; give a new folder, so that photographs of two cameras do not mix")
@@ -130,11 +130,11 @@ def simulate_rgbd(
     """
     import cv2
 
-    from chromaperture.optics.layer_renderer import render_layers
     from chromaperture.optics.pinhole import PupilCamera
-    from chromaperture.optics.rgbd import read_rgbd
-    from chromaperture.optics.sensor import SensorModel, expose
-    from chromaperture.storage import staged
+    from chromaperture.optics.simulator.layer_renderer import render_layers
+    from chromaperture.optics.simulator.rgbd import read_rgbd
+    from chromaperture.optics.simulator.sensor import SensorModel, expose
+    from chromaperture.system.storage import staged
 
     check_output(out, ".png", inputs=[color, depth], option="OUT")
     aperture = _design(design, film)
@@ -153,7 +153,7 @@ def simulate_rgbd(
 def _design(name: str, film: str) -> optics_aperture.Aperture:
     """Return a design made of a film, or that of a file with its own film."""
     from chromaperture.optics.aperture import made_of
-    from chromaperture.optics.aperture_file import load_aperture
+    from chromaperture.optics.printing.aperture_file import load_aperture
 
     design = load_aperture(name)
     return design if name.lower().endswith((".toml", ".svg")) else made_of(design, film)

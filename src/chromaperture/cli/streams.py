@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from chromaperture.camera_file import Calibration
 from chromaperture.capture.open import open_source
 from chromaperture.capture.source import Source
 from chromaperture.cli.console import say_warning
+from chromaperture.model.camera_file import Calibration
 
 
 def open_stream(

@@ -9,7 +9,7 @@ import typer
 
 from chromaperture.cli.checks import check_output
 from chromaperture.cli.options import BlackLevel, Json, Quiet, WhiteLevel
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,7 +36,7 @@ def transparency(
     from chromaperture.capture.files import read_image
     from chromaperture.cli.console import print_json
     from chromaperture.color.transparency_map import transparency as transparency_map
-    from chromaperture.storage import staged
+    from chromaperture.system.storage import staged
 
     if not exposure > 0:
         raise InputError(f"--exposure must be positive, got {exposure:g}")

@@ -13,7 +13,7 @@ from chromaperture.cli.checks import check_output
 from chromaperture.cli.options import Quality, Quiet, Seconds
 
 if TYPE_CHECKING:
-    from chromaperture.pages.map_page import Page
+    from chromaperture.files.map_page import Page
 
 
 def view(
@@ -34,9 +34,9 @@ def view(
 
     chromaperture view camera.asdf --out camera.html
     """
-    from chromaperture.pages.map_page import render
-    from chromaperture.storage import staged
-    from chromaperture.viewer.serve_page import PageServer
+    from chromaperture.app.live.serve_page import PageServer
+    from chromaperture.files.map_page import render
+    from chromaperture.system.storage import staged
 
     if out is not None:
         check_output(out, ".html", inputs=[file])
@@ -59,9 +59,9 @@ def view(
 
 def page_of(file: Path, quality: str) -> Page:
     """Return the page of a result or a camera; raises InputError where the file is neither."""
-    from chromaperture.camera_file import Calibration
+    from chromaperture.app.live.result_page import camera_page, result_page
+    from chromaperture.model.camera_file import Calibration
     from chromaperture.products.result_files import read_result
-    from chromaperture.viewer.result_page import camera_page, result_page
 
     if file.suffix == ".asdf":
         return camera_page(Calibration.load(file), file.name, quality=quality)

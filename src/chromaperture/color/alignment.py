@@ -12,8 +12,8 @@ from chromaperture.color.row_alignment import align_by_rows, row_moves, scale_ch
 from chromaperture.color.shift_kernels import shift_along_rows
 from chromaperture.color.unmixing import view_reach
 from chromaperture.color.visibility import fill_hidden, visible_from
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids
+from chromaperture.system.errors import InputError
 
 _STILL = 1e-3  # displacement per px of disparity that counts as none: the accuracy of the centroids
 

@@ -13,7 +13,7 @@ from typing import NamedTuple, cast
 import numpy as np
 
 from chromaperture.color.srgb import srgb_to_linear
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 Pair = tuple[float, float]
 Primaries = tuple[Pair, Pair, Pair, Pair]

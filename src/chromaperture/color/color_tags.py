@@ -16,7 +16,7 @@ from chromaperture.color.color_space import (
     of_values,
     to_linear,
 )
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 MAX_PROFILE_BYTES = 4 << 20  # in PNG; profiles by primaries and curves have up to 60 KB, by tables some 2 MB
 _MAX_TAGS = 100  # as littlecms; profiles have 10 to 30

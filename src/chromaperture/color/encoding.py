@@ -11,8 +11,8 @@ import numpy as np
 
 from chromaperture.color.color_space import TRANSFERS, Transfer, to_linear
 from chromaperture.color.response import ResponseCurve
-from chromaperture.errors import InputError
-from chromaperture.threads import each_band
+from chromaperture.system.errors import InputError
+from chromaperture.system.threads import each_band
 
 Offsets = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 Siting = Literal["centre", "left", "top-left"]

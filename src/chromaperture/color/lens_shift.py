@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from chromaperture.compilation import compiled
 from chromaperture.optics.lens_blur import LensBlur
 from chromaperture.optics.lens_otf import ChannelRays, traced, transfer_at
-from chromaperture.threads import in_parallel
+from chromaperture.system.compilation import compiled
+from chromaperture.system.threads import in_parallel
 
 # Chosen by hand, not tuned, unless a reason is given.
 _NODES = (7, 5)  # image positions along width and height

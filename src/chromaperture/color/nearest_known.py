@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.compilation import compiled
-from chromaperture.threads import in_parallel
+from chromaperture.system.compilation import compiled
+from chromaperture.system.threads import in_parallel
 
 
 def fill_from_nearest(values: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from chromaperture.threads import each_band
+from chromaperture.system.threads import each_band
 
 # Chosen by hand; the result on test captures is in docs/colour.md, "Alignment".
 _SMOOTH_PX = 1.0  # sigma, against noise

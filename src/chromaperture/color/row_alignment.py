@@ -13,8 +13,8 @@ import numpy as np
 
 from chromaperture.color.shift_kernels import A
 from chromaperture.color.visibility import OCCLUSION_PX, RADIUS_PX, STILL, fill_hidden_rows
-from chromaperture.compilation import compiled
-from chromaperture.threads import each_band
+from chromaperture.system.compilation import compiled
+from chromaperture.system.threads import each_band
 
 _PAD = 8  # samples beyond both ends of a row: cubics are evaluated up to 4 px outside, and reach 2 px farther
 

@@ -8,8 +8,8 @@ import math
 import numpy as np
 
 from chromaperture.color.image import SATURATION
-from chromaperture.compilation import compiled
-from chromaperture.threads import in_parallel
+from chromaperture.system.compilation import compiled
+from chromaperture.system.threads import in_parallel
 
 _NAN = np.float32(np.nan)
 _LEAST = 1e-3  # of a pixel: what OpenCV's area averages leave out

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.compilation import compiled
-from chromaperture.threads import in_parallel
+from chromaperture.system.compilation import compiled
+from chromaperture.system.threads import in_parallel
 
 A = np.float32(-0.75)  # slope of the cubic at 1, as in OpenCV: `cv2.remap` gives the same picture
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from chromaperture.color.noise import KERNEL_NORM, fine_structure
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from chromaperture.threads import in_parallel
+from chromaperture.system.threads import in_parallel
 
 _LEVELS = 65535  # of the table: 16 bits
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.compilation import compiled
+from chromaperture.system.compilation import compiled
 
 
 @compiled(error_model="numpy")

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 
 from chromaperture.color.image import is_saturated
-from chromaperture.errors import InputError
 from chromaperture.optics.metrics import LUMINANCE
+from chromaperture.system.errors import InputError
 
 _BLUR = 0.025  # sigma over the image's width: removes noise and paper grain, keeps vignetting. Chosen by hand
 _MOST_LIGHT = 1.03  # film only absorbs; 3 % is allowed for a flickering lamp or shutter. Chosen by hand, not tuned

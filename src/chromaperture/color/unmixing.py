@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture, centroids
+from chromaperture.system.errors import InputError
 
 # Limits of usable film: noise of the views grows with the condition number. Chosen by hand, not tuned.
 _MIN_FILTER_ANGLE_DEG = 15.0

@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from chromaperture.compilation import compiled
-from chromaperture.threads import in_parallel
+from chromaperture.system.compilation import compiled
+from chromaperture.system.threads import in_parallel
 
 # Chosen by hand, not tuned, unless a reason is given.
 STILL = 1e-3  # displacement per px of disparity that counts as none: the accuracy of `view_directions`

@@ -11,10 +11,10 @@ from functools import cached_property
 
 import numpy as np
 
-from chromaperture.config import DepthConfig
 from chromaperture.depth import conversion_kernels
 from chromaperture.depth.nonlinearity import Nonlinearity
-from chromaperture.errors import InputError
+from chromaperture.settings.methods import DepthConfig
+from chromaperture.system.errors import InputError
 
 Map = np.ndarray | float
 

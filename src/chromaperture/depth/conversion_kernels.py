@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from chromaperture.compilation import compiled, inlined
 from chromaperture.depth.nonlinearity import Nonlinearity
-from chromaperture.threads import in_parallel
+from chromaperture.system.compilation import compiled, inlined
+from chromaperture.system.threads import in_parallel
 
 PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # upper triangle of the covariance of A, B, delta
 

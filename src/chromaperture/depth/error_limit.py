@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from chromaperture.rows_on_demand import RowsOnDemand
+    from chromaperture.system.rows_on_demand import RowsOnDemand
 
 # sigma / depth. Filled pixels and those of them within 5 % of the truth, real-time, 24 frames of a ray-traced walk past
 # halves of a pupil: 99 and 60 % without a limit, 66 and 71 % at 0.15, 45 and 81 % at 0.10, 18 and 89 % at 0.05.
@@ -40,7 +40,7 @@ def within_error(
         raise InputError(f"the largest relative sigma must be positive, got {max_relative_sigma:g}")
     import numpy as np  # here: the command line reads the constant above, and shows its help without NumPy
 
-    from chromaperture.threads import each_band
+    from chromaperture.system.threads import each_band
 
     kept = np.array(depth_mm, np.float32)
 
@@ -57,7 +57,7 @@ def rows_within_error(depth_mm: np.ndarray, sigma_mm: np.ndarray, max_relative_s
     """Return `within_error`, made row by row when it is asked for; raises InputError as it does."""
     import numpy as np
 
-    from chromaperture.rows_on_demand import RowsOnDemand
+    from chromaperture.system.rows_on_demand import RowsOnDemand
 
     def make(rows: slice) -> np.ndarray:
         return within_error(depth_mm[rows], sigma_mm[rows], max_relative_sigma)

@@ -17,7 +17,7 @@ from numpy.polynomial import chebyshev
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.conversion_kernels import PAIRS, CurveTable, curve_table
 from chromaperture.depth.nonlinearity import Nonlinearity
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 _NODES = 33  # a side, for the covariance over the frame: bilinear between them it is within 5 % (tests/test_field.py)
 
@@ -253,7 +253,7 @@ def _evaluate(coefficients: np.ndarray, width_px: int, height_px: int, rows: np.
     u, v = np.linspace(-1, 1, width_px), np.linspace(-1, 1, height_px)[rows]
     along_x, along_y = chebyshev.chebvander(u, degree), chebyshev.chebvander(v, degree)
     # Column after column in memory, so that maps made of it are copied where a kernel needs them row by row: kernels
-    # are compiled for arrays of their own (`compile_ahead.py`), not for read-only views of this one.
+    # are compiled for arrays of their own (`system/compile_ahead.py`), not for read-only views of this one.
     return np.asarray((along_x @ square @ along_y.T).T)
 
 

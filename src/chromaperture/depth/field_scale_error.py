@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from chromaperture.depth.field import DepthField
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 
 def with_scale_error(field: DepthField, relative: float) -> DepthField:

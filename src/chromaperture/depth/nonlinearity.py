@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 _KNOTS = 512  # of the table of the inverse: linear between them it is good to 1e-4 px (tests/test_nonlinearity.py)
 _FINE = 8  # samples of the curve per knot, from which the table is interpolated; chosen by hand, not tuned

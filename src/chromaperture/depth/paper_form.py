@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from chromaperture.depth.conversion import DepthModel, Map, focus_from_pupil
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 
 @dataclass(frozen=True)

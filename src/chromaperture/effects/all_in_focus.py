@@ -20,7 +20,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 from chromaperture.effects.layered_model import LayeredModel
 from chromaperture.effects.transfer_functions import Blur
 from chromaperture.effects.wiener import colour_covariance, mirrored, padded_size, sharpen_layers
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 # Chosen by hand; not tuned.
 _PRIOR_EXPONENT = 0.8  # of the gradients' size: 2 is Gaussian, below 1 favours few strong edges

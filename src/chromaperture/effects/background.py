@@ -7,7 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from chromaperture.effects.refocusing import Compositor, Focus, refocus
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 BackgroundEffect = Literal["keep", "desaturate", "blur"]
 BACKGROUND_EFFECTS: tuple[BackgroundEffect, ...] = get_args(BackgroundEffect)

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from chromaperture.color.srgb import srgb_to_linear
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 _GRID = 256  # cells along a side of a mask; one or more a px of the largest blur of `refocus`, radius 120 px
 _BLACK = 0.02  # linear light of the brightest pixel below which a picture counts as black; chosen by hand

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 
 from chromaperture.color.alignment import fill_unknown
-from chromaperture.compilation import compiled
 from chromaperture.effects.refocusing_kernels import over_rows
-from chromaperture.errors import InputError
-from chromaperture.threads import each_band
+from chromaperture.system.compilation import compiled
+from chromaperture.system.errors import InputError
+from chromaperture.system.threads import each_band
 
 # Chosen by hand; not tuned.
 _REACH_PX = 10.0  # standard deviation of the filter inside a surface: a longer one rounds depth, a shorter keeps specks

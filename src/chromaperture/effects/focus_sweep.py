@@ -12,7 +12,7 @@ from PIL import Image
 
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.effects.refocusing import Compositor, Focus, refocus
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 _FRAMES_PER_SECOND = 12
 _MIN_SWEEP_PX = 3.0  # blur radius: range of the sweep of a flat scene; chosen by hand

@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.disparity.gpu.device import DeviceError
-from chromaperture.disparity.gpu.gpu_method import DeviceMethod
-from chromaperture.disparity.gpu.refocus_stages import RefocusChain, RefocusLayer
-from chromaperture.errors import OutOfMemoryError
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.matching.device.device import DeviceError
+from chromaperture.matching.device.gpu_method import DeviceMethod
+from chromaperture.matching.device.refocus_stages import RefocusChain, RefocusLayer
+from chromaperture.system.errors import OutOfMemoryError
 
 _NUMBERS = 4  # of a pixel, in the largest array
 

@@ -20,12 +20,12 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from chromaperture.disparity.gpu.refocus_stages import RefocusLayer
 from chromaperture.effects.blur_layers import layer_radii
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
 from chromaperture.effects.refocusing_kernels import add_layer, layer_bounds, layer_planes, normalise, over_rows
-from chromaperture.errors import InputError
-from chromaperture.optics.layer_renderer import behind_edges
+from chromaperture.matching.device.refocus_stages import RefocusLayer
+from chromaperture.optics.simulator.layer_renderer import behind_edges
+from chromaperture.system.errors import InputError
 
 # Blur radii in px, chosen by hand; not tuned. docs/colour.md measures error and time of the whole.
 _SHARP_PX = 0.3  # new blur below which nothing is done

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.compilation import compiled, inlined
-from chromaperture.threads import in_parallel
+from chromaperture.system.compilation import compiled, inlined
+from chromaperture.system.threads import in_parallel
 
 
 def over_rows(kernel: Callable[..., None], rows: int, *arguments: Any) -> None:

@@ -10,10 +10,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_alignment import channel_shifts
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import noise_of_photographs
+from chromaperture.camera.alignment import channel_shifts
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import noise_of_photographs
 from chromaperture.color.alignment import align_channels, linear_displacement
 from chromaperture.color.defective_pixels import without_defects
 from chromaperture.color.image import SATURATION
@@ -25,7 +24,8 @@ from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.restoration_tiles import by_tiles
 from chromaperture.effects.same_photograph import check_same_photograph
 from chromaperture.effects.transfer_functions import Blur, LensTransfer, ThinLensBlur, radius_per_disparity
-from chromaperture.errors import InputError
+from chromaperture.model.camera_file import Calibration
+from chromaperture.system.errors import InputError
 
 _TILES, _MIN_TILE_PX = 5, 96  # tiles along the width, in each of which the blur counts as constant; chosen by hand
 # Pictures of more pixels are restored in tiles of this side at most, without what is around them: transfer functions of

@@ -7,7 +7,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 _SMOOTH_PX, _WINDOW_PX = 1.0, 8.0  # standard deviations against noise and of the local window; chosen by hand
 # Of larger pictures so many bands are compared, evenly spaced, of so many pixels together; chosen by hand.

@@ -9,14 +9,14 @@ from typing import Protocol, TypeAlias
 import numpy as np
 import scipy.fft
 
-from chromaperture.camera_alignment import channel_shifts
-from chromaperture.camera_file import Calibration
+from chromaperture.camera.alignment import channel_shifts
 from chromaperture.color.lens_shift import LensShift
-from chromaperture.config import Quality
-from chromaperture.errors import InputError
+from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import Aperture, centroids
 from chromaperture.optics.lens_otf import lens_kernels
 from chromaperture.optics.psf import geometric_otf
+from chromaperture.settings.methods import Quality
+from chromaperture.system.errors import InputError
 
 _CACHE_SIZE = 64  # transfer functions: each layer of a tile is used several times
 

@@ -9,10 +9,10 @@ import numpy as np
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.calibration.progress import Progress, reported, silent
 from chromaperture.calibration.read_boards import pixel_sigma
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_matching import default_config
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.camera.method import default_config
 from chromaperture.depth.conversion import depth_to_disparity
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 # Of all boards together: 16 s at 8 s a megapixel (README), which is less than the calibration itself takes.
 MOST_MEGAPIXELS = 2.0

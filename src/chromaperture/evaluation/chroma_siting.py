@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-from chromaperture.camera_file import Calibration
 from chromaperture.capture.files import decode
 from chromaperture.capture.picture_format import FORM, PictureFormat
+from chromaperture.capture.shots import VIDEOS
 from chromaperture.capture.siting_check import LEAST_CONTRAST, ChromaError, find_chroma_error
 from chromaperture.color.encoding import SITINGS, Siting, StatedFacts
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import depth_to_disparity, disparity_to_depth
-from chromaperture.errors import InputError
 from chromaperture.evaluation.health import Check
+from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import centroids
-from chromaperture.shots import VIDEOS
+from chromaperture.system.errors import InputError
 
 _NAME = "chroma siting"
 _WHERE = {"centre": "in the middle", "left": "at the left", "top-left": "at the top left"}

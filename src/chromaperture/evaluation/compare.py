@@ -9,11 +9,11 @@ from typing import Any, cast
 import numpy as np
 from scipy.special import erf
 
-from chromaperture.camera_file import Calibration
-from chromaperture.config import Quality
 from chromaperture.depth.conversion import depth_and_sigma, depth_to_disparity
-from chromaperture.errors import InputError
+from chromaperture.model.camera_file import Calibration
 from chromaperture.products.result_files import StoredDepth
+from chromaperture.settings.methods import Quality
+from chromaperture.system.errors import InputError
 
 SHARES_PERCENT = (1, 2, 5)
 _MAD = 0.6745  # median of |x| of a normal distribution of standard deviation 1

@@ -8,7 +8,7 @@ import numpy as np
 
 from chromaperture.color.color_maps import DIFFERENCE, DISTANCE, ERROR
 from chromaperture.evaluation.compare import SHARES_PERCENT, CameraComparison, DepthComparison
-from chromaperture.pages.map_page import Bars, Page, Panel, Picture, TextTable
+from chromaperture.files.map_page import Bars, Page, Panel, Picture, TextTable
 
 _BARS = 81  # of a histogram; odd, so that one is at 0
 _WIDE = 480  # px of the map of a grid over the frame; chosen by hand

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from chromaperture.robust import robust_sigma
+from chromaperture.system.robust import robust_sigma
 
 ZONES = ("top left", "top", "top right", "left", "middle", "right", "bottom left", "bottom", "bottom right")
 _OUTLIER_SIGMAS = 4.0  # from the plane: matching errors, counted separately; a Gaussian has 0.006 % beyond

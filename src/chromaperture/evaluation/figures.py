@@ -12,10 +12,10 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.color.color_maps import DIFFERENCE, DISTANCE, OTHER, color_map
-from chromaperture.config import Quality, preset
 from chromaperture.depth.conversion import disparity_to_depth
 from chromaperture.evaluation.verdict import QUALITY, board_depth, board_errors, depth_accuracy, qualities
-from chromaperture.robust import robust_sigma
+from chromaperture.settings.methods import Quality, preset
+from chromaperture.system.robust import robust_sigma
 
 BLUE, ORANGE, GREY, RED, GREEN = "#2b6ca3", "#c8702a", "#777777", "#b03030", "#3c8c50"
 CHANNEL_COLORS = {"R": "#c83c3c", "G": "#3c9c50", "B": "#3c5cc8"}

@@ -13,18 +13,18 @@ import numpy as np
 
 from chromaperture.calibration.chessboard import Intrinsics, board_points, find_corners
 from chromaperture.calibration.fit_response import fit_response, fold_board
-from chromaperture.camera_file import Calibration
-from chromaperture.camera_matching import sensor_noise
-from chromaperture.camera_parts import Board
+from chromaperture.camera.method import sensor_noise
 from chromaperture.capture.exif import Exif
 from chromaperture.color.film_match import FilmMatch, match_film
 from chromaperture.color.image import SATURATION, checked_image
 from chromaperture.color.unmixing import view_reach
-from chromaperture.config import Quality, preset
 from chromaperture.depth.conversion import depth_to_disparity
-from chromaperture.disparity.estimate import estimate_disparity
-from chromaperture.errors import InputError
 from chromaperture.evaluation.tint import measure_tint
+from chromaperture.matching.estimate import estimate_disparity
+from chromaperture.model.camera_file import Calibration
+from chromaperture.model.camera_parts import Board
+from chromaperture.settings.methods import Quality, preset
+from chromaperture.system.errors import InputError
 
 Verdict = Literal["ok", "warn", "cannot tell"]
 

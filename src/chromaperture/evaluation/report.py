@@ -16,7 +16,7 @@ from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.evaluation import blur_figures, evidence, figures, tables
 from chromaperture.evaluation.tables import Table
 from chromaperture.evaluation.verdict import sentences
-from chromaperture.storage import staged
+from chromaperture.system.storage import staged
 
 Draw = Callable[[CalibrationResult], Figure | None]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from chromaperture.color.image import SATURATION
-from chromaperture.robust import robust_sigma
+from chromaperture.system.robust import robust_sigma
 
 _CELLS = (8, 12)  # rows, columns
 _LEAST = 0.004  # mean of a channel, of white level, below which a cell is too dark to have a colour; chosen by hand

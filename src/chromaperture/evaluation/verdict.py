@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
-from chromaperture.config import Quality
 from chromaperture.depth.conversion import DepthModel, depth_sigma, depth_to_disparity, disparity_to_depth
 from chromaperture.evaluation.session_facts import baseline_ratio, contradictions, is_of_another_design
+from chromaperture.settings.methods import Quality
 
 QUALITY: Quality = "real-time"  # of the report: the one that users start with
 _STEPS = 400  # depths over the working range

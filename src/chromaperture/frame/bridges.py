@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from chromaperture.depth.pointcloud import PointCloud
-from chromaperture.errors import MissingDependencyError
 from chromaperture.frame.depth_frame import DepthFrame
+from chromaperture.system.errors import MissingDependencyError
 
 
 def to_open3d(cloud: PointCloud) -> Any:

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from chromaperture.camera_file import Calibration
-from chromaperture.config import Config
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
 from chromaperture.depth.pointcloud import PointCloud, depth_to_points
-from chromaperture.errors import InputError
-from chromaperture.threads import BAND_ROWS, each_band
+from chromaperture.model.camera_file import Calibration
+from chromaperture.settings.methods import Config
+from chromaperture.system.errors import InputError
+from chromaperture.system.threads import BAND_ROWS, each_band
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,12 +10,13 @@ import numpy as np
 
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, rows_within_error
 from chromaperture.depth.pointcloud import write_depth_ply
-from chromaperture.errors import InputError
+from chromaperture.files.pictures import write_color_png, write_depth_png, write_float_tiff
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.summary import summarise
-from chromaperture.rows_on_demand import Rows
-from chromaperture.storage import staged, write_color_png, write_depth_png, write_float_tiff, write_json
-from chromaperture.threads import parallel_map
+from chromaperture.system.errors import InputError
+from chromaperture.system.rows_on_demand import Rows
+from chromaperture.system.storage import staged, write_json
+from chromaperture.system.threads import parallel_map
 
 
 @dataclass(frozen=True)
@@ -86,11 +87,11 @@ def chosen_outputs(write: str | Iterable[str] | None, *, is_calibrated: bool = T
             f"{', '.join(impossible)} cannot be written without a calibrated camera; choose from {', '.join(possible)}"
         )
     if "exr" in names:
-        from chromaperture.formats.depth_exr import openexr
+        from chromaperture.files.depth_exr import openexr
 
         openexr()  # before the work: the extra may be missing
     if "usdz" in names:
-        from chromaperture.formats.depth_usdz import usd
+        from chromaperture.files.depth_usdz import usd
 
         usd()
     return tuple(name for name in OUTPUTS if name in names)

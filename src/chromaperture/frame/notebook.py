@@ -8,12 +8,12 @@ from html import escape
 import cv2
 import numpy as np
 
-from chromaperture.camera_file import Calibration
-from chromaperture.config import Quality
 from chromaperture.depth.conversion import depth_to_disparity, disparity_to_depth
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.preview import depth_scale, exposed, fitted_size, reduced
 from chromaperture.frame.summary import one_line
+from chromaperture.model.camera_file import Calibration
+from chromaperture.settings.methods import Quality
 
 _LARGEST = (280, 280)  # px of each of the two pictures; chosen by hand
 _PUPIL_PX = 120  # side of the picture of the pupil; chosen by hand

@@ -8,8 +8,8 @@ import numpy as np
 
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.depth.error_limit import within_error
-from chromaperture.errors import InputError
 from chromaperture.frame.depth_frame import DepthFrame
+from chromaperture.system.errors import InputError
 
 
 def write_format(name: str, path: Path, frame: DepthFrame, *, max_relative_sigma: float) -> None:
@@ -37,7 +37,7 @@ def write_format(name: str, path: Path, frame: DepthFrame, *, max_relative_sigma
     lens = frame.calibration.lens
     matrix, to_pupil_mm = lens.camera_matrix, frame.calibration.depth[frame.config.quality].sensor_to_pupil_mm
     if name == "exr":
-        from chromaperture.formats.depth_exr import write_exr
+        from chromaperture.files.depth_exr import write_exr
 
         write_exr(
             path, color=frame.color, depth_mm=frame.depth_mm, sigma_mm=frame.sigma_mm, confidence=frame.confidence,
@@ -47,7 +47,7 @@ def write_format(name: str, path: Path, frame: DepthFrame, *, max_relative_sigma
     z_mm = within_error(frame.depth_mm, frame.sigma_mm, max_relative_sigma) - np.float32(to_pupil_mm)
     color = linear_to_srgb_bytes(frame.color)
     if name in ("gdepth", "dynamic-depth"):
-        from chromaperture.formats.depth_photo import dynamic_depth_jpeg, encode_depth, gdepth_jpeg
+        from chromaperture.files.depth_photo import dynamic_depth_jpeg, encode_depth, gdepth_jpeg
 
         encoded = encode_depth(z_mm, frame.confidence)
         is_gdepth = name == "gdepth"
@@ -55,14 +55,14 @@ def write_format(name: str, path: Path, frame: DepthFrame, *, max_relative_sigma
             gdepth_jpeg(color, encoded) if is_gdepth else dynamic_depth_jpeg(color, encoded, camera_matrix=matrix)
         )
         return
-    from chromaperture.formats.textured_mesh import textured_mesh
+    from chromaperture.files.textured_mesh import textured_mesh
 
     mesh = textured_mesh(z_mm, color, camera_matrix=matrix, distortion=lens.distortion)
     if name == "glb":
-        from chromaperture.formats.depth_glb import glb_bytes
+        from chromaperture.files.depth_glb import glb_bytes
 
         path.write_bytes(glb_bytes(mesh))
     else:
-        from chromaperture.formats.depth_usdz import write_usdz
+        from chromaperture.files.depth_usdz import write_usdz
 
         write_usdz(path, mesh)

@@ -12,7 +12,7 @@ from html import escape
 import numpy as np
 
 from chromaperture.depth.pointcloud import PointCloud
-from chromaperture.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import InputError, MissingDependencyError
 
 _POINT_MM = 3.0  # side of a point, chosen by hand: neighbours of a 720x480 camera at 2 m lie 1.2 mm apart
 

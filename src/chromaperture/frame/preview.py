@@ -18,8 +18,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from chromaperture.color.color_maps import DISTANCE, ERROR, draw_levels
 from chromaperture.color.srgb import linear_to_srgb_bytes
+from chromaperture.files.pictures import write_png
 from chromaperture.frame.depth_frame import DepthFrame
-from chromaperture.storage import write_png
 
 _DARK, _LIGHT = (20, 22, 26), (232, 230, 227)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.frame.depth_frame import DepthFrame
-from chromaperture.threads import parallel_map
+from chromaperture.system.threads import parallel_map
 
 _PERCENTILES = (5, 25, 50, 75, 95)  # of disparity and depth
 # Of a map of many megapixels every n-th row and column is used: the median of a million samples is off by a thousandth

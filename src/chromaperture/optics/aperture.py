@@ -13,7 +13,6 @@ from functools import cache
 
 import numpy as np
 
-from chromaperture.errors import InputError
 from chromaperture.optics.filters import (
     BLUE,
     CLEAR,
@@ -28,6 +27,7 @@ from chromaperture.optics.filters import (
     film_named,
 )
 from chromaperture.optics.shapes import Disc, HalfPlane, Intersection, Shape, Square
+from chromaperture.system.errors import InputError
 
 _LARGEST_OVERLAP = 1e-3  # of the pupil's area; touching neighbours overlap by less than a row of grid cells
 # 17 ms a piece, most of it to find its area on a grid: 1 s for so many. Designs have two or three.

@@ -19,7 +19,7 @@ from chromaperture.optics.aperture import Aperture, channel_transmission
 from chromaperture.optics.metrics import aperture_figures, film_unmixing
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.psf import geometric_otf
-from chromaperture.optics.sensor import SensorModel
+from chromaperture.optics.simulator.sensor import SensorModel
 
 _PATCH = 128  # px: side of the patch whose frequencies are summed; 512 differ by a few percent of the variance
 _STEP = 1e-2  # px of blur radius, for the central difference

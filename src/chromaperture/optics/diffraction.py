@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.system.errors import InputError
 
 _MOST_CELLS = 3000  # across the pupil: 3000^2 complex amplitudes are 144 MB a channel
 _SUBPIXELS = 8  # image samples across a pixel, summed; chosen by hand, not tuned

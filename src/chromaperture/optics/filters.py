@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 
 @dataclass(frozen=True)

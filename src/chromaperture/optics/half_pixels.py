@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from chromaperture.errors import InputError
 from chromaperture.optics.ray_table import RayTable
+from chromaperture.system.errors import InputError
 
 HALF_PUPIL_CENTROID = 4 / (3 * np.pi)  # of a half disc, in its radii
 

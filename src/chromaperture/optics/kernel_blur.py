@@ -26,8 +26,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.ndimage
 
-from chromaperture.errors import InputError
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, PupilSamples
+from chromaperture.system.errors import InputError
 
 _FAINTEST = 1e-3  # of the brightest sample anywhere: fainter ones are noise of the measurement; chosen by hand
 _NO_RIM = 1e6  # pupil radii: kernels hold the rims

@@ -23,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy.fft
 
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture
+from chromaperture.system.errors import InputError
 
 PointTransforms = Callable[[np.ndarray, np.ndarray, int, int], np.ndarray]
 

@@ -7,8 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from chromaperture.errors import InputError
 from chromaperture.optics.prescription import Prescription
+from chromaperture.system.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from chromaperture.errors import InputError
 from chromaperture.optics.paraxial import paraxial
 from chromaperture.optics.prescription import Prescription
+from chromaperture.system.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from chromaperture.errors import InputError
-from chromaperture.validation import Finite, Name, Number, Positive, Table, checked, quoted, read_toml
+from chromaperture.system.errors import InputError
+from chromaperture.system.validation import Finite, Name, Number, Positive, Table, checked, quoted, read_toml
 
 _LINE_F, _LINE_D, _LINE_C = 0.4861, 0.5876, 0.6563  # um, Fraunhofer lines that define the Abbe number
 _WAVELENGTHS_UM = (0.605, 0.540, 0.465)  # R, G, B: about the peaks of a Bayer sensor; chosen by hand, not tuned

@@ -10,9 +10,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.pupil_samples import pupil_samples
+from chromaperture.system.errors import InputError
 
 _LARGEST_KEPT = 500_000  # px, of cached transfer functions: 48 of these are 600 MB; VGA video needs about 30
 _CELLS = 128  # across the pupil; the disc's second moment is then accurate to 1e-4

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from chromaperture.errors import InputError
 from chromaperture.optics.aperture import DESIGNS, Aperture
 from chromaperture.optics.paraxial import paraxial
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.prescription import Prescription
 from chromaperture.optics.pupil_samples import pupil_samples
 from chromaperture.optics.trace import trace
+from chromaperture.system.errors import InputError
 
 _REACH = 1.2  # of the paraxial exit pupil is sampled: off the axis the pupil moves and stretches
 _SPLIT = 4  # sub-rays across a cell, for the part of it that stop and rims vignette; chosen by hand, not tuned

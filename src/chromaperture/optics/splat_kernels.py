@@ -18,7 +18,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
-from chromaperture.compilation import compiled, inlined
+from chromaperture.system.compilation import compiled, inlined
 
 # Direct transforms take reach * kept^2 steps, fast ones size^2 times a logarithm: both are as fast where the former is
 # 3 to 5 times size^2 (size 96 and 240, kept 49, 80 and 121).

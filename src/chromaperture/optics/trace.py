@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from chromaperture.compilation import compiled, inlined
 from chromaperture.optics.prescription import Prescription
-from chromaperture.threads import in_parallel
+from chromaperture.system.compilation import compiled, inlined
+from chromaperture.system.threads import in_parallel
 
 _NEWTON_STEPS = 12  # at most; each doubles the correct digits near the solution
 _CONVERGED_MM = 1e-11  # a thousand roundings of a coordinate of some 10 mm

@@ -14,10 +14,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.errors import ChromapertureError
+from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.products.measure_file import Written, measure_only
-from chromaperture.threads import beside
+from chromaperture.system.errors import ChromapertureError
+from chromaperture.system.threads import beside
 
 # Called with the camera and the linear image of a photograph before it is measured, and its name; may raise InputError.
 Inspect = Callable[[CodedApertureCamera, np.ndarray, str], None]

@@ -20,16 +20,16 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from chromaperture.camera import CodedApertureCamera
-from chromaperture.camera_file import Calibration
-from chromaperture.cluster import check_version, connected, run_tasks
-from chromaperture.config import Config
+from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
-from chromaperture.errors import CaptureWarning, ChromapertureError, InputError
 from chromaperture.frame.frame_files import OUTPUTS, chosen_outputs
+from chromaperture.model.camera_file import Calibration
 from chromaperture.products import archive_store as store
 from chromaperture.products.archive import Inspect, measure_everything
 from chromaperture.products.measure_file import measure_only
+from chromaperture.settings.methods import Config
+from chromaperture.system.cluster import check_version, connected, run_tasks
+from chromaperture.system.errors import CaptureWarning, ChromapertureError, InputError
 
 # Dask may run several tasks in the threads of one process; a measurement already divides its work among threads.
 _ONE_AT_A_TIME = threading.Lock()

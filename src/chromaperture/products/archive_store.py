@@ -11,8 +11,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from chromaperture.errors import ChromapertureError, InputError, MissingDependencyError
-from chromaperture.shots import counted, one_of_each
+from chromaperture.capture.shots import counted, one_of_each
+from chromaperture.system.errors import ChromapertureError, InputError, MissingDependencyError
 
 # Stores where an object appears whole when its upload ends, so that it needs no temporary name.
 _WHOLE_OBJECTS = {"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "oci", "memory"}

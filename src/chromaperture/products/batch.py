@@ -17,7 +17,7 @@ from queue import SimpleQueue
 from types import FrameType
 
 from chromaperture.products.archive_cluster import Outcome, Recipe, measure_photograph
-from chromaperture.threads import limited_opencv_threads, limited_threads, thread_count
+from chromaperture.system.threads import limited_opencv_threads, limited_threads, thread_count
 
 STOP_S = 30.0  # for a process to remove half-written files after it was asked to end; chosen by hand
 DIED = "the process that measured it died, perhaps for lack of memory; run again with fewer --jobs"

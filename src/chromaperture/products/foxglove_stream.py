@@ -15,8 +15,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
-from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.products.rectified import View, nanoseconds
+from chromaperture.system.errors import InputError, MissingDependencyError
 
 DepthEncoding = Literal["16UC1", "32FC1"]
 CAMERA_FRAME, WORLD_FRAME = "camera_optical_frame", "world"

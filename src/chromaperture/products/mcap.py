@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
-from chromaperture.errors import InputError, MissingDependencyError
 from chromaperture.products.rectified import View
-from chromaperture.storage import staged
+from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture.system.storage import staged
 
 _FRAME = "camera_optical_frame"
 _HEADER = """

@@ -12,18 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.capture.developed import other_colours
 from chromaperture.capture.exif import read_model
 from chromaperture.capture.picture_format import PictureFormat, described
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.depth.pointcloud import PointCloud, depth_to_points
-from chromaperture.errors import CaptureWarning, within_memory
 from chromaperture.frame import frame_files
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.frame_files import OUTPUTS, chosen_outputs
 from chromaperture.frame.summary import summarise
-from chromaperture.storage import staged, write_json
+from chromaperture.system.errors import CaptureWarning, within_memory
+from chromaperture.system.storage import staged, write_json
 
 
 @dataclass(frozen=True)

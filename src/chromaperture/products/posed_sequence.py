@@ -16,10 +16,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
-from chromaperture.errors import InputError
+from chromaperture.files.pictures import write_depth_png, write_png
 from chromaperture.products.rectified import View
-from chromaperture.storage import staged, write_depth_png, write_png
-from chromaperture.validation import read_bytes
+from chromaperture.system.errors import InputError
+from chromaperture.system.storage import staged
+from chromaperture.system.validation import read_bytes
 
 Form = Literal["colmap", "nerfstudio", "open3d"]
 Poses = Mapping[int, np.ndarray]

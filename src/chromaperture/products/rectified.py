@@ -9,11 +9,11 @@ from itertools import chain
 import cv2
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera, DepthFrame
+from chromaperture.camera.camera import CodedApertureCamera, DepthFrame
 from chromaperture.capture.picture_header import other_size
 from chromaperture.capture.source import Frame
 from chromaperture.color.srgb import linear_to_srgb_bytes
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,10 @@ import numpy as np
 
 from chromaperture.capture.files import read_samples
 from chromaperture.depth.pointcloud import PointCloud
-from chromaperture.errors import InputError
-from chromaperture.formats.depth_exr import read_exr
+from chromaperture.files.depth_exr import read_exr
 from chromaperture.frame.frame_files import OUTPUTS
-from chromaperture.validation import MOST_PIXELS, read_bytes
+from chromaperture.system.errors import InputError
+from chromaperture.system.validation import MOST_PIXELS, read_bytes
 
 _MOST_BYTES = 4_000_000_000  # of a cloud or an array's file: 250 megapixels of 15 bytes
 _MOST_POINTS = MOST_PIXELS

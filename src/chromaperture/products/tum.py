@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
-from chromaperture.errors import InputError
 from chromaperture.products.rectified import View
-from chromaperture.storage import staged
+from chromaperture.system.errors import InputError
+from chromaperture.system.storage import staged
 
 _COUNTS_PER_MM = 5.0  # 5000 a metre, fixed by the TUM format
 

@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.camera import CodedApertureCamera
+from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.capture.source import Frame
-from chromaperture.errors import InputError
 from chromaperture.products.rectified import of_stream, undistorter
 from chromaperture.reconstruction.fusion import Placed, Reconstruction
 from chromaperture.reconstruction.model_files import glb, write_mesh_ply, write_trajectory
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.volume import open3d
-from chromaperture.storage import staged, write_json
+from chromaperture.system.errors import InputError
+from chromaperture.system.storage import staged, write_json
 
 
 def reconstruct(

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from chromaperture.compilation import compiled, inlined
-from chromaperture.robust import HUBER, robust_sigma
+from chromaperture.system.compilation import compiled, inlined
+from chromaperture.system.robust import HUBER, robust_sigma
 
 _UNKNOWNS = 8  # three of translation, three of rotation, gain, offset
 _TUKEY = 4.685  # standard deviations at which Tukey's biweight falls to 0: 95 % efficient for Gaussian errors

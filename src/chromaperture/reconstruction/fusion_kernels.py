@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from chromaperture.compilation import compiled
+from chromaperture.system.compilation import compiled
 
 # Of the truncation: voxels farther from the surface keep their colour. A mesh takes colours from within a voxel of it;
 # half of eight voxels leaves room for what later views correct, and saves a fifth of the time.

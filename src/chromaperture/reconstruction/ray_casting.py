@@ -12,8 +12,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from chromaperture.compilation import compiled, inlined
-from chromaperture.threads import in_parallel
+from chromaperture.system.compilation import compiled, inlined
+from chromaperture.system.threads import in_parallel
 
 EDGE = 16  # voxels along a block
 _BITS, _LAST = 4, EDGE - 1  # a voxel's number in bits, and the last one

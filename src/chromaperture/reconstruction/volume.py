@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.errors import MissingDependencyError
 from chromaperture.products.rectified import View
 from chromaperture.reconstruction.camera_matrix import scaled
 from chromaperture.reconstruction.fusion_kernels import Pixels, Voxels, clear_faint, fuse, holds_surface
 from chromaperture.reconstruction.ray_casting import EDGE, cast_rays, enlarged_distances, table_of
-from chromaperture.threads import in_parallel
+from chromaperture.system.errors import MissingDependencyError
+from chromaperture.system.threads import in_parallel
 
 BLOCK_BYTES = EDGE**3 * 4 * 5  # tsdf, weight, three colours
 # Chosen by hand; not tuned. Weight 1 is a pixel of the first view's median standard deviation.

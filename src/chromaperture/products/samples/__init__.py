@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from chromaperture.errors import InputError
+from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from chromaperture.camera import CodedApertureCamera
-    from chromaperture.config import Quality
+    from chromaperture.camera.camera import CodedApertureCamera
+    from chromaperture.settings.methods import Quality
 
 SAMPLES = ("still_life_cy_halves", "still_life_cy_open")
 _HERE = Path(__file__).parent
@@ -40,7 +40,7 @@ def open_sample(
     InputError
         There is no such capture.
     """
-    from chromaperture.camera import load_camera
+    from chromaperture.camera.camera import load_camera
 
     if name not in SAMPLES:
         raise InputError(f"no sample {name!r}: choose {', '.join(SAMPLES)}")

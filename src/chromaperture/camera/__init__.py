@@ -1,0 +1,1 @@
+"""A camera that measures photographs: the way from a picture to depth in millimetres."""

@@ -1,0 +1,208 @@
+"""Quality "accurate" on a device: evidence and paths there, the surface that explains them on the CPU.
+
+The photograph goes up once. What comes down are the paths' surface, mean and variance of its labels, and the sums of
+the evidence over blocks: a sixteenth of the volume. While the device works, the CPU finds depth edges; then regions,
+plate and error bar are `accurate.explained_surface`, as without a device.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from operator import call
+from typing import NamedTuple
+
+import numpy as np
+
+from chromaperture.matching.accurate import AccurateMethod, PathSurface
+from chromaperture.matching.clipped_areas import clipped_filled
+from chromaperture.matching.device.device import Array, Chain, Device, Ticket
+from chromaperture.matching.device.evidence_plan import EvidencePlan, plan_evidence
+from chromaperture.matching.device.evidence_stages import add_evidence
+from chromaperture.matching.device.label_stages import WindowsEarned, add_labels, add_views_evidence
+from chromaperture.matching.device.measured import NOTHING, Further, Measured, OnDevice
+from chromaperture.matching.device.spectral_stages import WindowGrid, add_windows
+from chromaperture.matching.device.surface_stages import Grid, add_block_sums, add_path_surface
+from chromaperture.matching.evidence.blur import BlurEvidence
+from chromaperture.matching.evidence.correlation import CorrelationEvidence
+from chromaperture.matching.evidence.spectral import SpectralEvidence
+from chromaperture.matching.planes.block_surface import depth_edges_of
+from chromaperture.matching.planes.depth_edges import BLOCK_PX
+from chromaperture.matching.readable.paths import Posterior
+from chromaperture.matching.views import filtered_views
+from chromaperture.system.threads import begun, parallel_map
+
+DOWN = ("label", "posterior", "blocks")
+
+
+def pairs_of(method: AccurateMethod) -> BlurEvidence | None:
+    """Return the evidence of pairs of channels; None where the blur is not known."""
+    evidence = method.evidence
+    if isinstance(evidence, SpectralEvidence):
+        return evidence.pairs
+    return evidence if isinstance(evidence, BlurEvidence) else None
+
+
+class Started(NamedTuple):
+    """A photograph under way: as `clipped_filled` has it, what computes it, and the depth edges that the CPU finds."""
+
+    chain: AccurateChain
+    ticket: Ticket
+    image: np.ndarray
+    usable: np.ndarray
+    depth_edges: Callable[[], np.ndarray]
+
+
+@dataclass
+class AccurateChain:
+    """The chain of one camera, from a photograph to `DOWN`.
+
+    Attributes
+    ----------
+    method : AccurateMethod
+    device : Device
+    shape : (int, int)
+        Height and width of its photographs.
+    plan : EvidencePlan or None
+        None where the blur is not known: evidence is that of shifted views.
+    grid : Grid
+    chain : Chain
+    """
+
+    method: AccurateMethod
+    device: Device
+    shape: tuple[int, int]
+    plan: EvidencePlan | None = field(init=False)
+    grid: Grid = field(init=False)
+    chain: Chain = field(init=False)
+
+    def __post_init__(self) -> None:
+        config, labels_px = self.method.config, self.method.labels_px
+        self.grid = Grid(*self.shape, len(labels_px))
+        pairs = pairs_of(self.method)
+        self.plan = None if pairs is None else plan_evidence(pairs, config.layers.values_px)
+        self.chain = chain = Chain(self.device)
+        image, usable = (chain.array(name, n * self.grid.pixels) for name, n in (("image", 3), ("usable", 1)))
+        likelihood, guide = chain.array("likelihood", self.grid.size), chain.array("guide", self.grid.pixels)
+        self._add_evidence(image, usable, likelihood)
+        add_path_surface(chain, likelihood, guide, self.grid, labels_px, config=config.surface)
+        add_block_sums(chain, likelihood, self.grid, BLOCK_PX)
+
+    def start(self, image: np.ndarray) -> Started:
+        """Send an image (H, W, 3) to the device; at most two are under way, `finish` them in turn."""
+        views = filtered_views(image, self.method.space, config=self.method.config.views)
+        filled, usable = clipped_filled(image, views.mask)
+        inputs = self._inputs(filled, usable, views.guide, self.method.evidence.noise.variance(filled))
+        ticket = self.chain.start(inputs, list(DOWN))
+        return Started(self, ticket, filled, usable, begun(partial(depth_edges_of, filled)))
+
+    def finish(self, started: Started) -> Measured:
+        """Wait for a photograph, and explain what came down."""
+        got = self.chain.finish(started.ticket)
+        labels_px, (height, width), size = self.method.labels_px, self.shape, BLOCK_PX
+        first, step = float(labels_px[0]), float(labels_px[1] - labels_px[0])
+        mean, variance = np.moveaxis(got["posterior"].reshape(height, width, 2), 2, 0)
+        found = PathSurface(
+            np.asarray(first + step * got["label"].reshape(height, width), np.float32),
+            Posterior(np.asarray(first + step * mean, np.float32), np.asarray(step**2 * variance, np.float32)),
+            got["blocks"].reshape(height // size, width // size, len(labels_px)),
+        )
+        return Measured(self.method.from_paths(found, started.image, started.usable, started.depth_edges()))
+
+    def _add_evidence(self, image: Array, usable: Array, likelihood: Array) -> None:
+        chain, config, labels_px = self.chain, self.method.config, self.method.labels_px
+        layers_px = config.layers.values_px
+        if self.plan is not None:
+            noise = chain.array("noise", 3 * len(self.plan.nodes.places))
+            unexplained = add_evidence(chain, self.plan, image, noise)
+            # What counts of the pairs' evidence: nothing where the picture is not usable, else what is a pixel's own.
+            counted = chain.array("counted", self.grid.pixels)
+            windows = self._windows(usable) if self.windows is not None else None
+            add_labels(chain, self.plan, unexplained, counted, likelihood, labels_px, windows=windows)
+        else:
+            source = self.method.evidence
+            assert isinstance(source, CorrelationEvidence)
+            add_views_evidence(chain, source, self.shape, (image, usable, likelihood), layers_px, labels_px)
+
+    def _windows(self, usable: Array) -> WindowsEarned:
+        evidence, grid, chain = self.method.evidence, self.windows, self.chain
+        assert isinstance(evidence, SpectralEvidence)
+        assert grid is not None
+        noise = chain.array("window_noise", 3 * grid.count)
+        earned = add_windows(
+            chain, evidence, grid, (chain.arrays["image"], chain.arrays["shading"], noise),
+            self.method.config.layers.values_px, self.method.labels_px,
+        )  # fmt: skip
+        return WindowsEarned(earned, usable, grid)
+
+    @property
+    def windows(self) -> WindowGrid | None:
+        """Where windows of all channels are; None where they are no evidence."""
+        evidence = self.method.evidence
+        if not isinstance(evidence, SpectralEvidence) or not evidence.is_used(self.method.config.layers.values_px):
+            return None
+        return WindowGrid(self.grid.height, self.grid.width, evidence.config.stride_px)
+
+    def _inputs(
+        self, image: np.ndarray, usable: np.ndarray, guide: np.ndarray, variance: np.ndarray
+    ) -> dict[str, np.ndarray]:
+        inputs = {"image": image, "usable": usable, "guide": guide}
+        of_noise: dict[str, Callable[[], np.ndarray]] = {}
+        if self.plan is not None:
+            if not np.isfinite(image).all():
+                inputs["image"] = np.where(np.isfinite(image), image, np.float32(0))
+            of_noise["noise"] = lambda: self._noise_of_tiles(variance)
+            of_noise["counted"] = lambda: self._counted(image, usable, variance)
+        evidence, grid = self.method.evidence, self.windows
+        if isinstance(evidence, SpectralEvidence) and grid is not None:
+            of_noise["window_noise"] = lambda: evidence.noise_of_windows(variance, grid.rows, grid.columns)
+        return inputs | dict(zip(of_noise, parallel_map(call, of_noise.values()), strict=True))
+
+    def _noise_of_tiles(self, variance: np.ndarray) -> np.ndarray:
+        """Return the power of noise in every tile, (tiles, 3); 0 where it is not known."""
+        assert self.plan is not None
+        pairs, nodes = self.plan.source, self.plan.nodes
+        if not pairs.noise.is_known:
+            return np.zeros((len(nodes.places), 3))
+        return nodes.noise_powers(variance, noise_margin=pairs.config.noise_margin)
+
+    def _counted(self, image: np.ndarray, usable: np.ndarray, variance: np.ndarray) -> np.ndarray:
+        """Return how much of the evidence of pairs counts at every pixel; (H, W)."""
+        evidence = self.method.evidence
+        own = evidence.own_detail(image, variance) if isinstance(evidence, SpectralEvidence) else None
+        return usable if own is None else usable * own
+
+
+@dataclass
+class AccurateOnDevice(OnDevice):
+    """Quality "accurate" on a device; its chain is made at the first photograph of a size, and kept.
+
+    Attributes
+    ----------
+    method : AccurateMethod
+    device : Device
+    """
+
+    method: AccurateMethod
+    device: Device
+    _chain: AccurateChain | None = None
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def start(self, image: np.ndarray, further: Further = NOTHING) -> Started:
+        """Send an image (H, W, 3) to the device, which begins; the CPU makes what is asked for besides."""
+        pairs = pairs_of(self.method)
+        if pairs is not None:
+            pairs.check_size(image)
+        with self._lock, self._freed_on_failure():
+            shape = image.shape[0], image.shape[1]
+            if self._chain is None or self._chain.shape != shape:
+                self._chain = None  # gives its memory back before the next takes its own
+                self._chain = AccurateChain(self.method, self.device, shape)
+            return self._chain.start(image)
+
+    def finish(self, started: Started) -> Measured:
+        """Wait for what `start` has begun."""
+        with self._lock, self._freed_on_failure():
+            return started.chain.finish(started)

@@ -1,0 +1,249 @@
+"""A method on a device: chains for the sizes of picture it has seen, and the way back to the CPU."""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from chromaperture.matching.accurate import AccurateMethod
+from chromaperture.matching.device.accurate_chain import AccurateOnDevice
+from chromaperture.matching.device.device import Array, Chain, Device, DeviceError, Ticket, adapters, open_device
+from chromaperture.matching.device.measured import (
+    NOTHING,
+    Further,
+    Measured,
+    OnDevice,
+    add_further,
+    is_same,
+    measured_from,
+    outputs_of,
+)
+from chromaperture.matching.device.paper_chain import add_paper, runs_on_device
+from chromaperture.matching.device.real_time_chain import add_real_time
+from chromaperture.matching.device.view_stages import check_stats
+from chromaperture.matching.device.working_stages import Reduction, add_reduced, add_upsampled
+from chromaperture.matching.labels import IDENTITY, LabelMap
+from chromaperture.matching.paper import PaperMethod
+from chromaperture.matching.real_time import RealTimeMethod
+from chromaperture.matching.result import Disparity, Method
+from chromaperture.matching.views import ViewSpace, guide_weights
+from chromaperture.matching.working_scale import ScaledMethod
+from chromaperture.settings.methods import MatcherConfig, PaperConfig, RealTimeConfig
+from chromaperture.system.errors import CaptureWarning, ChromapertureError, InputError, OutOfMemoryError
+
+
+class Started(NamedTuple):
+    """A photograph under way: what computes it, and its (H, W)."""
+
+    chain: Chain
+    ticket: Ticket
+    size: tuple[int, int]
+
+
+@dataclass
+class GpuMethod(OnDevice):
+    """Qualities "real-time" and "paper" on a device.
+
+    Attributes
+    ----------
+    config : MatcherConfig
+        `RealTimeConfig` or `PaperConfig`.
+    space : ViewSpace
+    label_map : LabelMap
+    device : Device
+    reduction : Reduction or None
+        Where reduced pictures are matched; the other attributes are then those of their camera.
+    """
+
+    config: MatcherConfig
+    space: ViewSpace
+    label_map: LabelMap
+    device: Device
+    reduction: Reduction | None = None
+    _chain: Chain | None = None
+    _size: tuple[int, int] = (0, 0)
+    _further: Further = NOTHING
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def start(self, image: np.ndarray, further: Further = NOTHING) -> Started:
+        """Send an image (H, W, 3) to the device, which begins; at most two are under way, `finish` them in turn."""
+        size = (image.shape[0], image.shape[1])
+        with self._lock, self._freed_on_failure():
+            chain = self._composed(size, further)
+            return Started(chain, chain.start({"image": image}, [*outputs_of(further), "stats"]), size)
+
+    def finish(self, started: Started) -> Measured:
+        """Wait for what `start` has begun."""
+        with self._lock, self._freed_on_failure():
+            found = started.chain.finish(started.ticket)
+        check_stats(found["stats"], len(self.space.rows))
+        return measured_from(found, started.size)
+
+    def _composed(self, size: tuple[int, int], further: Further) -> Chain:
+        """Return the chain for a size, kept until another is needed."""
+        if self._chain is None or self._size != size or not is_same(self._further, further):
+            self._chain = None
+            chain = Chain(self.device)
+            image = chain.array("image", 3 * size[0] * size[1])
+            if self.reduction is None:
+                self._add_matching(chain, image, size)
+            else:
+                small = add_reduced(chain, image, size, self.reduction)
+                self._add_matching(chain, small, self.reduction.size_px[::-1])
+                add_upsampled(chain, image, small, size, self.reduction, self.config.views.guide_range)
+            add_further(chain, image, size, further)
+            self._chain, self._size, self._further = chain, size, further
+        return self._chain
+
+    def _add_matching(self, chain: Chain, image: Array, size: tuple[int, int]) -> None:
+        if isinstance(self.config, RealTimeConfig):
+            add_real_time(chain, image, size, self.config, self.space, self.label_map)
+        elif isinstance(self.config, PaperConfig):
+            add_paper(chain, image, size, self.config, self.space)
+        else:
+            raise TypeError(type(self.config).__name__)
+
+
+class Waiting(NamedTuple):
+    """A photograph that is to be measured, and what the device has begun of it."""
+
+    image: np.ndarray
+    started: Any = None
+
+
+@dataclass
+class DeviceMethod:
+    """A method on a device as long as that works, else on the CPU.
+
+    Attributes
+    ----------
+    on_gpu : OnDevice
+    on_cpu : Method
+        Takes over, with one warning, where ``may_fall_back``.
+    may_fall_back : bool
+        Whether nobody asked for the device by name: then an error of the device is not the caller's concern.
+    """
+
+    on_gpu: OnDevice
+    on_cpu: Method
+    may_fall_back: bool
+    has_failed: bool = False
+
+    def match(self, image: np.ndarray) -> Disparity:
+        """Return the disparity of an image (H, W, 3)."""
+        return self.measure(image).disparity
+
+    def measure(self, image: np.ndarray, further: Further = NOTHING) -> Measured:
+        """Return the disparity of an image, and its depth where the device made it."""
+        return self.finish(self.start(image, further))
+
+    def start(self, image: np.ndarray, further: Further = NOTHING) -> Waiting:
+        """Send an image (H, W, 3) to the device, which computes it while another is read back.
+
+        At most two are under way; `finish` them in turn. On the CPU nothing begins before that.
+        """
+        if self.has_failed:
+            return Waiting(image)
+        try:
+            return Waiting(image, self.on_gpu.start(image, further))
+        except (DeviceError, OutOfMemoryError) as error:
+            self.fall_back(error)
+            return Waiting(image)
+
+    def finish(self, waiting: Waiting) -> Measured:
+        """Return what `measure` would have returned."""
+        if waiting.started is not None:
+            try:
+                return self.on_gpu.finish(waiting.started)
+            except (DeviceError, OutOfMemoryError) as error:
+                self.fall_back(error)
+        return Measured(self.on_cpu.match(waiting.image))
+
+    def fall_back(self, error: ChromapertureError) -> None:
+        """Go on with the CPU, which is said once, or raise the error."""
+        if not self.may_fall_back:
+            raise error
+        if not self.has_failed:
+            warnings.warn(f"{error}; measuring on the CPU from here on", CaptureWarning, stacklevel=4)
+        self.has_failed = True
+
+
+def chosen_device(choice: str) -> Device | None:
+    """Return the device of ``auto``, ``cpu``, ``gpu`` or ``gpu:NAME``; None is the CPU.
+
+    ``auto`` takes a real device where there is one, never a rasteriser in software. Raises DeviceError and
+    MissingDependencyError for the last two only.
+    """
+    if choice == "cpu":
+        return None
+    if choice == "gpu" or choice.startswith("gpu:"):
+        return open_device(choice)
+    if choice != "auto":
+        raise InputError(
+            f"unknown device {choice!r}: choose auto, cpu, gpu or gpu:NAME, see 'chromaperture info --devices'"
+        )
+    found = adapters()
+    if not found or found[0].is_software:
+        return None
+    try:
+        return open_device("gpu")
+    except DeviceError as error:
+        warnings.warn(f"{error}; measuring on the CPU", CaptureWarning, stacklevel=3)
+        return None
+
+
+def on_device(method: Method, choice: str, note: Callable[[str], None], *, pixels: int = 0) -> Method:
+    """Return a method on the device of a choice, where the device can run it.
+
+    Parameters
+    ----------
+    method : Method
+        For the CPU.
+    choice : str
+        As `chosen_device`.
+    note : callable
+        Called with one line where a device was asked for and the CPU is taken, where the device is software, and where
+        it computes less than the CPU.
+    pixels : int
+        Of a photograph. Where the device has no array for it the CPU reduces it to the working scale.
+    """
+    if isinstance(method, ScaledMethod):
+        matching = on_device(method.method, choice, note)
+        if not isinstance(matching, DeviceMethod):
+            return method
+        too_large = 12 * pixels > matching.on_gpu.device.largest_bytes  # three floats a pixel
+        if too_large or not isinstance(matching.on_gpu, GpuMethod):
+            return replace(method, method=matching)
+        on_gpu = replace(matching.on_gpu, reduction=Reduction(method.size_px, guide_weights(method.aperture)))
+        return DeviceMethod(on_gpu, method, matching.may_fall_back)
+    asked_for = choice not in ("auto", "cpu")
+    opened: Callable[[Device], OnDevice]
+    if isinstance(method, PaperMethod) and runs_on_device(method.config):
+        opened = partial(GpuMethod, method.config, method.space, IDENTITY)
+    elif isinstance(method, RealTimeMethod):
+        opened = partial(GpuMethod, method.config, method.space, method.label_map)
+    elif isinstance(method, AccurateMethod) and not method.config.spectral.dual_pixel:
+        opened = partial(AccurateOnDevice, method)
+    else:
+        if asked_for:
+            chosen_device(choice)  # a device that does not exist is refused all the same
+            note("scores debiased or weighted by texture, and half pixels, run on the CPU: the GPU has no such stages")
+        return method
+    device = chosen_device(choice)
+    if device is None:
+        return method
+    if device.info.is_software:
+        note(f"{device.info.name} is software: slower than --device cpu")
+    return DeviceMethod(opened(device), method, not asked_for)
+
+
+def device_method(method: Method) -> DeviceMethod | None:
+    """Return the part of a method that works on a device; None where there is none."""
+    inner = method.method if isinstance(method, ScaledMethod) else method
+    return inner if isinstance(inner, DeviceMethod) else None

@@ -1,0 +1,1 @@
+"""Evidence of each view for every label: correlation, known blur, all channels at once."""

@@ -1,0 +1,1 @@
+"""The camera file: what a calibration knows of a camera."""

@@ -1,0 +1,386 @@
+"""The parameters of one camera, in one file.
+
+The file is ASDF: YAML text that any editor opens, and binary arrays for large maps.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import asdf
+import numpy as np
+
+from chromaperture.color.unmixing import mixing_matrix, own_film_unmixing, unmixing_rows
+from chromaperture.depth.conversion import DepthModel, depth_to_disparity
+from chromaperture.depth.field import DepthField
+from chromaperture.depth.field_file import field_from_tree, field_to_tree, plain
+from chromaperture.depth.paper_form import PaperParameters, model_to_paper
+from chromaperture.model.asdf_input import read_tree
+from chromaperture.model.camera_parts import Board, CameraSensor, Film, Lens
+from chromaperture.model.camera_tree import CameraTree
+from chromaperture.optics.aperture import Aperture, design_named
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
+from chromaperture.optics.pinhole import centered_pinhole
+from chromaperture.settings.methods import QUALITIES, Quality
+from chromaperture.system.errors import InputError
+from chromaperture.system.storage import staged
+from chromaperture.system.validation import MOST_PIXELS, checked, quoted
+
+FORMAT_VERSION = 1
+# A focus from here on is called infinity: that far away the disparity of a 50 mm lens at f/2 is .04 px of 62 um less
+# than at infinity.
+INFINITY_MM = 1e5
+_ROOT = "chromaperture_camera"
+_CHECKED_WHOLE, _PLACES = 2**20, 129  # px of a sensor whose curves are checked everywhere; else places along a side
+_ABOUT = (
+    "One camera with a colour-coded aperture, at one focus setting. Lengths are in mm, disparities are signed half "
+    "disparities in px (0 in focus, + beyond). Depth from the sensor plane is sensor_to_pupil_mm + scale_px_mm / "
+    "(infinity_disparity_px - disparity). The two fields are polynomials over the frame: coefficients of Chebyshev "
+    "products in x and y over [-1, 1] by rising degree in x, then in y; a single number holds for the whole frame. "
+    "covariance is that of A, B and sensor_to_pupil_mm, or of all coefficients in that order, then those of the "
+    "nonlinearity. nonlinearity is what the matcher measures beyond that disparity: Chebyshev coefficients of T2, T3, "
+    "... over low_px..high_px. local is to be added to the fields: maps on a grid over the frame, or null. "
+    "channel_moves_px is the displacement (x, y) of R, G, B by the lens at every disparity alike, px, in rows and "
+    "columns of places evenly spaced over the frame; real-time takes it off before it matches three channels."
+)
+
+
+@dataclass(frozen=True, repr=False)
+class Calibration:
+    """The parameters of a `chromaperture.camera.camera.CodedApertureCamera`.
+
+    Attributes
+    ----------
+    design : str
+        Name of the aperture design.
+    sensor : CameraSensor
+    lens : Lens
+    film : Film
+    depth : dict of str to DepthField
+        Depth curves over the frame for each quality, because each matcher has a bias of its own. Empty in an
+        uncalibrated camera, which measures disparity only.
+    near_mm, far_mm : float
+        Working range of depth, from the sensor plane, in which disparities are searched.
+    provenance : dict
+        Origin of the file: command, date, versions, options, hashes of the photographs, fit residuals.
+    blur : BlurModel or None
+        Blur of the lens over the frame, for PSF-aware matching; ``depth["accurate"]`` is then the curve of its layers.
+    board : Board or None
+        The chessboard of the session, for `chromaperture check`; None in files of older versions.
+    channel_moves_px : (rows, columns, 3, 2) float64 or None
+        Displacement (x, y) of R, G, B by the lens at every disparity alike, px, at places evenly spaced over the frame,
+        which quality ``real-time`` takes off before it matches three channels; its depth curve was measured so. None
+        where the blur is not known, in files of older versions, and for designs that match two channels.
+    """
+
+    design: str
+    sensor: CameraSensor
+    lens: Lens
+    film: Film
+    depth: Mapping[Quality, DepthField]
+    near_mm: float
+    far_mm: float
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    blur: BlurModel | None = None
+    board: Board | None = None
+    channel_moves_px: np.ndarray | None = None
+
+    @property
+    def aperture(self) -> Aperture:
+        """The aperture in the pupil."""
+        return design_named(self.design)
+
+    @property
+    def title(self) -> str:
+        """Design, size of the picture and working range, in one line."""
+        size = f"{self.design}, {self.sensor.width_px}x{self.sensor.height_px} px"
+        return f"{size}, {self.near_mm:.0f} to {self.far_mm:.0f} mm" if self.is_calibrated else f"{size}, uncalibrated"
+
+    def __repr__(self) -> str:
+        curves = f", curves for {', '.join(self.depth)}" if self.depth else ""
+        return f"Calibration({self.title}{curves})"
+
+    @property
+    def unmixing(self) -> np.ndarray:
+        """Rows of M^-1, Eq. (1); (K, 3) float64."""
+        names = self.aperture.views
+        return unmixing_rows(mixing_matrix(np.array([self.film.filters[n] for n in names])), len(names))
+
+    @property
+    def image_distance_mm(self) -> float:
+        """Distance F from the pinhole's centre to its sensor: fx times the pixel pitch."""
+        return float(self.lens.camera_matrix[0, 0]) * self.sensor.pixel_pitch_mm
+
+    def field_blur(self) -> LensBlur | None:
+        """Return the blur of lens and film; None where it was not fitted."""
+        if self.blur is None:
+            return None
+        pupil = sample_pupil(self.aperture.with_film(self.film.transmissions()))
+        return LensBlur(self.blur, pupil, self.sensor.width_px, self.sensor.height_px)
+
+    @property
+    def is_calibrated(self) -> bool:
+        """Whether the camera measures depth in mm."""
+        return bool(self.depth)
+
+    def depth_model(self, quality: Quality = "real-time") -> DepthModel:
+        """Return the depth curve of a quality over the frame, (H, W) maps where it varies.
+
+        Parameters
+        ----------
+        quality : {"paper", "real-time", "accurate"}
+
+        Raises
+        ------
+        InputError
+            The camera has no curve for that quality.
+        """
+        return self._curve(quality).model(self.sensor.width_px, self.sensor.height_px)
+
+    def _curve(self, quality: Quality) -> DepthField:
+        if quality not in self.depth:
+            known = f"it has {', '.join(self.depth)}" if self.depth else "it was never calibrated"
+            raise InputError(f"this camera has no depth curve for quality {quality}: {known}; run 'calibrate' again")
+        return self.depth[quality]
+
+    @property
+    def in_focus_mm(self) -> float:
+        """Distance of the focus surface from the sensor plane, on the axis: z~_of = B / A + delta."""
+        return float(self.on_axis("real-time").in_focus_mm)
+
+    @property
+    def in_focus_text(self) -> str:
+        """Distance in focus for people; negative where the lens is focused a little beyond infinity."""
+        return f"{self.in_focus_mm:.0f} mm" if 0 < self.in_focus_mm < INFINITY_MM else "infinity"
+
+    @property
+    def baseline_mm(self) -> float:
+        """Baseline b of the unmixed views on the axis; that of the channels is shorter, because film leaks."""
+        return float(self.paper_parameters(self.on_axis("paper")).baseline_mm)
+
+    def paper_parameters(self, model: DepthModel) -> PaperParameters:
+        """Return a depth curve as the paper's z~_of, b, delta and f, mm (section 3.4, Figure 7).
+
+        Parameters
+        ----------
+        model : DepthModel
+            Of this camera: `depth_model`, `on_axis`.
+        """
+        return model_to_paper(
+            model, image_distance_mm=self.image_distance_mm, pixel_pitch_mm=self.sensor.pixel_pitch_mm
+        )
+
+    def on_axis(self, quality: Quality) -> DepthModel:
+        """Return the depth curve of a quality in the middle of the frame, as numbers; raises as `depth_model`."""
+        return self._curve(quality).on_axis(self.sensor.width_px, self.sensor.height_px)
+
+    def disparity_range_px(self, quality: Quality = "real-time") -> tuple[float, float]:
+        """Return the smallest and the largest disparity of the working range over the frame, px; as `depth_model`."""
+        model = self.depth_model(quality)
+        near, far = (depth_to_disparity(z, model) for z in (self.near_mm, self.far_mm))
+        return float(np.min(near)), float(np.max(far))
+
+    def summary(self) -> dict[str, Any]:
+        """Return the figures that ``chromaperture info`` prints, units in the names; None where uncalibrated."""
+        on_axis = self.depth["real-time"].on_axis(self.sensor.width_px, self.sensor.height_px) if self.depth else None
+        figures = {
+            "design": self.design,
+            "title": self.aperture.title,
+            "width_px": self.sensor.width_px,
+            "height_px": self.sensor.height_px,
+            "pixel_pitch_mm": self.sensor.pixel_pitch_mm,
+            "focal_length_mm": self.lens.focal_length_mm,
+            "f_number": self.lens.f_number,
+            "sensor_to_pupil_mm": on_axis.sensor_to_pupil_mm if on_axis else None,
+            "in_focus_mm": self.in_focus_mm if on_axis else None,
+            "baseline_mm": self.baseline_mm if on_axis else None,
+            "infinity_disparity_px": on_axis.infinity_disparity_px if on_axis else None,
+            "scale_px_mm": on_axis.scale_px_mm if on_axis else None,
+            "near_mm": self.near_mm,
+            "far_mm": self.far_mm,
+            "black_level": self.sensor.black_level,
+            "white_level": self.sensor.white_level,
+            "curve": self.sensor.curve if self.sensor.response is None else f"{self.sensor.curve}, then a tone curve",
+            "provenance": dict(self.provenance),
+        }
+        known = {"design", "title", "width_px", "height_px", "provenance"}  # the others are placeholders
+        return figures if on_axis else {name: v if name in known else None for name, v in figures.items()}
+
+    @classmethod
+    def uncalibrated(cls, design: str, *, width_px: int, height_px: int) -> Calibration:
+        """Return a camera of which only the aperture is known; it measures disparity, not depth.
+
+        Parameters
+        ----------
+        design : str
+            Such as ``"cy_halves"``, see `design_named`.
+        width_px, height_px : int
+            Of the photographs.
+
+        Raises
+        ------
+        InputError
+            There is no such design, or it has no parallax.
+        """
+        aperture = design_named(design)
+        own_film_unmixing(aperture)  # refuses designs without parallax
+        colors = {name: np.array(aperture.filter_named(name).transmission) for name in aperture.views}
+        focal_px = 1.2 * max(width_px, height_px)  # a normal lens; a placeholder, no point cloud is made
+        matrix = centered_pinhole(focal_px, (width_px, height_px))
+        return cls(
+            design=design,
+            sensor=CameraSensor(width_px, height_px, pixel_pitch_mm=36.0 / width_px),
+            lens=Lens(focal_length_mm=50.0, camera_matrix=matrix),
+            film=Film(colors, np.ones(3), np.ones(3)),
+            depth={},
+            near_mm=0.0,
+            far_mm=math.inf,
+            provenance={"note": "not calibrated; sensor and lens figures are placeholders"},
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write the camera file; whole or not at all.
+
+        Parameters
+        ----------
+        path : str or Path
+            ``NAME.asdf``.
+        """
+        path = Path(path)
+        tree = {
+            _ROOT: {
+                "about": _ABOUT,
+                "format_version": FORMAT_VERSION,
+                "design": self.design,
+                "working_range": {"near_mm": self.near_mm, "far_mm": self.far_mm},
+                "depth": {quality: field_to_tree(field) for quality, field in self.depth.items()},
+                "lens": plain(dataclasses.asdict(self.lens)),
+                "blur": None if self.blur is None else dataclasses.asdict(self.blur),
+                "channel_moves_px": None if self.channel_moves_px is None else plain(self.channel_moves_px),
+                "board": None if self.board is None else plain(dataclasses.asdict(self.board)),
+                "sensor": plain(dataclasses.asdict(self.sensor)),
+                "film": {
+                    "unit": "white light as R, G, B, 1 = white level",
+                    "filters": {name: plain(color) for name, color in self.film.filters.items()},
+                    "clear": plain(self.film.clear),
+                    "aperture": plain(self.film.aperture),
+                },
+                "provenance": plain(dict(self.provenance)),
+            }
+        }
+        with staged(path.parent) as stage, asdf.AsdfFile(tree) as file:
+            file.write_to(stage.path(path.name))
+
+    @classmethod
+    def load(cls, path: str | Path) -> Calibration:
+        """Read a camera file.
+
+        Parameters
+        ----------
+        path : str or Path
+
+        Raises
+        ------
+        InputError
+            The file is missing, damaged, not a camera file, or of a newer format.
+        """
+        path = Path(path)
+        if not os.path.lexists(path):
+            name = quoted(path)
+            raise InputError(f"no camera file at {name}; make one with: chromaperture calibrate SESSION --out {name}")
+        try:
+            tree = read_tree(path)[_ROOT]
+            version = tree["format_version"]
+            if isinstance(version, int) and version > FORMAT_VERSION:
+                raise InputError(
+                    f"{path.name} has format version {version}, newer than this program's {FORMAT_VERSION}; "
+                    "upgrade chromaperture"
+                )
+            values = checked(CameraTree, tree, where=quoted(path.name))
+            calibration = _from_tree(values, provenance=dict(tree["provenance"]))
+        except InputError:
+            raise
+        except Exception as error:  # YAML, ASDF and NumPy raise many kinds on a damaged file
+            reason = f"{type(error).__name__}: {error}".splitlines()[0][:120]
+            raise InputError(f"{path.name} is damaged or not a camera file ({reason}); calibrate again") from None
+        return calibration
+
+
+def _from_tree(tree: CameraTree, *, provenance: dict[str, Any]) -> Calibration:
+    """Rebuild and check; the caller reports any KeyError or ValueError as damage."""
+    calibration = Calibration(
+        design=tree.design,
+        sensor=CameraSensor(**dict(tree.sensor)),
+        lens=Lens(
+            focal_length_mm=tree.lens.focal_length_mm,
+            camera_matrix=np.array(tree.lens.camera_matrix),
+            distortion=np.array(tree.lens.distortion),
+            f_number=tree.lens.f_number,
+        ),
+        film=Film(
+            {name: np.array(color) for name, color in tree.film.filters.items()},
+            np.array(tree.film.clear),
+            np.array(tree.film.aperture),
+        ),
+        depth={quality: field_from_tree(tree.depth[quality]) for quality in QUALITIES if quality in tree.depth},
+        near_mm=tree.working_range.near_mm,
+        far_mm=tree.working_range.far_mm,
+        provenance=provenance,
+        blur=None if tree.blur is None else _blur_from_tree(tree.blur),
+        board=None if tree.board is None else Board(tree.board.inner_corners, tree.board.square_mm),
+        channel_moves_px=None if tree.channel_moves_px is None else np.array(tree.channel_moves_px, float),
+    )
+    _check(calibration)
+    return calibration
+
+
+def _blur_from_tree(values: Mapping[str, float]) -> BlurModel:
+    """Rebuild the blur; files of versions without ``contrast_fall`` are of film, which has none."""
+    complete = {"contrast_fall": 0.0} | dict(values)
+    return BlurModel(**{f.name: complete[f.name] for f in fields(BlurModel)})
+
+
+def _check(calibration: Calibration) -> None:
+    """Raise ValueError for parameters that no camera has."""
+    sensor, lens, film = calibration.sensor, calibration.lens, calibration.film
+    # The maps of a large sensor take gigabytes: it is checked at some places.
+    small = sensor.width_px * sensor.height_px <= _CHECKED_WHOLE
+    places = np.meshgrid(*(np.linspace(0, side - 1, _PLACES) for side in (sensor.width_px, sensor.height_px)))
+    positive = {
+        "sensor.width_px": sensor.width_px,
+        "sensor.height_px": sensor.height_px,
+        "sensor.pixel_pitch_mm": sensor.pixel_pitch_mm,
+        "sensor.white_level - black_level": sensor.white_level - sensor.black_level,
+        "lens.focal_length_mm": lens.focal_length_mm,
+        "lens.camera_matrix fx": float(lens.camera_matrix[0, 0]),
+        "lens.camera_matrix fy": float(lens.camera_matrix[1, 1]),
+        "film.clear": float(film.clear.min()),
+        "film.aperture": float(film.aperture.min()),
+        "working range": calibration.far_mm - calibration.near_mm,
+    }
+    for quality, curve in calibration.depth.items():
+        at = (sensor.width_px, sensor.height_px)
+        model = calibration.depth_model(quality) if small else curve.at(places[0], places[1], *at)
+        positive[f"depth.{quality}.scale_px_mm"] = float(np.min(model.scale_px_mm))
+        positive[f"near_mm - depth.{quality}.sensor_to_pupil_mm"] = calibration.near_mm - float(
+            np.max(model.sensor_to_pupil_mm)
+        )
+    for name, value in positive.items():
+        if not (math.isfinite(value) and value > 0):
+            raise ValueError(f"{name} must be positive and finite, is {value}")
+    if not calibration.depth:
+        raise ValueError("no depth curve")
+    if sensor.width_px * sensor.height_px > MOST_PIXELS:
+        raise ValueError(f"the sensor has more than {MOST_PIXELS} pixels")
+    if not np.array_equal(lens.camera_matrix[2], (0, 0, 1)) or lens.camera_matrix[1, 0] != 0:
+        raise ValueError("lens.camera_matrix is not that of a pinhole")
+    missing = set(calibration.aperture.views) - set(film.filters)
+    if missing:
+        raise ValueError(f"film.filters lacks {', '.join(sorted(missing))}")
+    calibration.unmixing  # noqa: B018 - raises when the filter colours cannot be told apart

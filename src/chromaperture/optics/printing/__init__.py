@@ -1,0 +1,1 @@
+"""Files to print and to cut: boards, templates, apertures."""

@@ -1,0 +1,161 @@
+"""Printable templates of an aperture at its true size: what to cut, and which side faces the sensor."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from chromaperture.optics.aperture import Aperture
+from chromaperture.optics.printing.printed_page import add_text, new_page, points, write_pages
+from chromaperture.optics.shapes import Disc, HalfPlane, Intersection, Polygon, Shape, Square
+from chromaperture.system.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_PAGE_MM = (210.0, 297.0)  # A4
+_COLOURS = {"red": "#e03030", "green": "#20a040", "blue": "#3050e0", "cyan": "#30c0d8", "magenta": "#d840b0",
+            "yellow": "#f2dc30", "clear": "#ffffff", "opaque": "#404040"}  # fmt: skip
+_OUTLINE_STEPS = 720  # chords of a circle: off by 1e-5 of its radius
+_SIDE_STEPS = 64  # points of a polygon's side, so that it can follow the rim of the pupil
+
+
+def outline(shape: Shape) -> list[np.ndarray]:
+    """Compute the closed outlines of a shape within the unit pupil.
+
+    Parameters
+    ----------
+    shape : Shape
+
+    Returns
+    -------
+    list of (N, 2) float64, pupil radii; holes are separate outlines of opposite orientation
+    """
+    if isinstance(shape, Intersection):
+        loops = [loop for part in shape.shapes if not isinstance(part, HalfPlane) for loop in outline(part)]
+        for part in shape.shapes:
+            if isinstance(part, HalfPlane):
+                loops = [_clipped(loop, np.array(part.normal), part.offset) for loop in loops]
+        return [loop for loop in loops if len(loop) > 2]
+    if isinstance(shape, HalfPlane):
+        return [_clipped(_circle((0, 0), 1.0), np.array(shape.normal), shape.offset)]
+    if isinstance(shape, Disc):
+        loops = [_circle(shape.center, shape.radius)]
+        if shape.inner_radius:
+            loops.append(_circle(shape.center, shape.inner_radius)[::-1])
+        return [_in_pupil(loop) for loop in loops]
+    if isinstance(shape, Square):
+        angle = math.radians(shape.angle_deg)
+        turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * shape.side / 2
+        return [_in_pupil(corners @ turn.T + shape.center)]
+    if isinstance(shape, Polygon):
+        return [_in_pupil(np.array(shape.corners))]
+    raise InputError(f"no outline is known for {type(shape).__name__}: give the aperture as discs, squares or polygons")
+
+
+def _circle(center: tuple[float, float], radius: float) -> np.ndarray:
+    angle = np.linspace(0, 2 * np.pi, _OUTLINE_STEPS, endpoint=False)
+    return np.stack([np.cos(angle), np.sin(angle)], -1) * radius + center
+
+
+def _in_pupil(loop: np.ndarray) -> np.ndarray:
+    """Project points beyond the rim onto it: pieces of film end at the pupil."""
+    fine = np.concatenate(
+        [
+            np.linspace(a, b, _SIDE_STEPS, endpoint=False) if len(loop) < _SIDE_STEPS else a[None]
+            for a, b in zip(loop, np.roll(loop, -1, 0), strict=True)
+        ]
+    )
+    return fine / np.maximum(np.hypot(*fine.T), 1)[:, None]
+
+
+def _clipped(loop: np.ndarray, normal: np.ndarray, offset: float) -> np.ndarray:
+    """Clip a polygon at a line (Sutherland and Hodgman 1974); keeps the side of the normal."""
+    out = []
+    for a, b in zip(loop, np.roll(loop, -1, axis=0), strict=True):
+        ha, hb = a @ normal - offset, b @ normal - offset
+        if ha >= 0:
+            out.append(a)
+        if ha * hb < 0:
+            out.append(a + (b - a) * ha / (ha - hb))
+    return np.array(out)
+
+
+def template_figure(aperture: Aperture, *, pupil_diameter_mm: float) -> Figure:
+    """Draw the template on a page of A4: all pieces together, each alone to cut, a 50 mm scale bar, the orientation.
+
+    Parameters
+    ----------
+    aperture : Aperture
+    pupil_diameter_mm : float
+        Diameter of the stop that the film is put into.
+
+    Returns
+    -------
+    Figure
+        Of the page's size, its data coordinates in mm from the top-left corner.
+
+    Raises
+    ------
+    InputError
+        A diameter that does not fit the page.
+    """
+    if not 0.5 <= pupil_diameter_mm <= 80:
+        raise InputError(f"a pupil of {pupil_diameter_mm:g} mm does not fit the page: give 0.5 to 80 mm")
+    figure, axes = new_page(_PAGE_MM)
+    add_text(axes, 10, 14, f"{aperture.title}, pupil {pupil_diameter_mm:g} mm", size_mm=6)
+    add_text(axes, 10, 20, "Print at 100 %. The arrow points up in the scene.")
+    add_text(axes, 10, 25, "The side you read faces the sensor: as seen from behind the camera.")
+    _line(axes, (10, 32), (60, 32))
+    for x in range(10, 61, 10):
+        half = 2 if x in (10, 60) else 1
+        _line(axes, (x, 32 - half), (x, 32 + half))
+    add_text(axes, 62, 33, "50 mm: measure before you cut", size_mm=3.5)
+
+    pieces = [(part.filter.name, outline(part.shape)) for part in aperture.parts]
+    pitch = pupil_diameter_mm + 18  # room for marks and label
+    per_row = max(1, int((_PAGE_MM[0] - 20) // pitch))
+    drawings = [("assembled", pieces), *((f"cut: {name}", [(name, loops)]) for name, loops in pieces)]
+    for i, (label, drawn) in enumerate(drawings):
+        center = (10 + pitch * (i % per_row + 0.5), 40 + (pitch + 6) * (i // per_row + 0.5))
+        _draw_pieces(axes, drawn, label, center, pupil_diameter_mm / 2)
+    return figure
+
+
+def _draw_pieces(
+    axes: Axes, pieces: list[tuple[str, list[np.ndarray]]], label: str, center: tuple[float, float], radius: float
+) -> None:
+    from matplotlib.patches import Circle, PathPatch
+    from matplotlib.path import Path as Outline
+
+    (cx, cy), name = center, label.replace(": ", "-")
+    for i, (film, loops) in enumerate(pieces):
+        closed = [Outline(np.vstack([loop, loop[:1]]) * radius + center, closed=True) for loop in loops]
+        face = _COLOURS.get(film, "#c0c0c0")
+        patch = PathPatch(
+            Outline.make_compound_path(*closed), facecolor=face, edgecolor="black", lw=points(0.1), gid=f"{name}-{i}"
+        )
+        axes.add_patch(patch)
+    axes.add_patch(Circle(center, radius, fill=False, lw=points(0.1), gid=f"{name}-pupil"))
+    for sx, sy in ((1, 0), (-1, 0), (0, 1)):
+        _line(axes, *((cx + sx * (radius + r), cy + sy * (radius + r)) for r in (1, 4)))
+    top = cy - radius - 5
+    _line(axes, (cx, top + 4), (cx, top))
+    _line(axes, (cx - 1.2, top + 1.6), (cx, top), (cx + 1.2, top + 1.6))
+    add_text(axes, cx, cy + radius + 7.5, label, ha="center")
+
+
+def _line(axes: Axes, *ends: tuple[float, float]) -> None:
+    axes.plot(*np.array(ends).T, color="black", lw=points(0.2), solid_capstyle="butt")
+
+
+def write_template(path: Path, aperture: Aperture, *, pupil_diameter_mm: float) -> None:
+    """Write the template as ``.svg`` or ``.pdf``, at its true size; raises InputError for other names."""
+    if path.suffix.lower() not in (".svg", ".pdf"):
+        raise InputError(f"a template is written as .svg or .pdf, not {path.name!r}")
+    write_pages(path, [template_figure(aperture, pupil_diameter_mm=pupil_diameter_mm)], aperture.title)

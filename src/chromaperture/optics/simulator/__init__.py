@@ -1,0 +1,1 @@
+"""A simulated camera: scenes, rays, noise, calibration sessions."""

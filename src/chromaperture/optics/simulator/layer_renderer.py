@@ -1,0 +1,186 @@
+"""The fast renderer: a picture with depth, split into layers of equal blur.
+
+    y_k = sum_l (a_l J_l * h_kl) (1 - sum_m a_m * h_km),    m: layers nearer than l by more than a depth edge
+
+Within a surface neighbouring layers are added; only a surface that is clearly nearer occludes another. What the blurred
+rim of a near object reveals is not in the picture; a second sheet behind the near sides of depth edges extrapolates the
+far surface, mirrored at the edge.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import scipy.fft
+
+from chromaperture.optics.aperture import Aperture, channel_transmission
+from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.optics.psf import geometric_otf
+from chromaperture.system.errors import InputError
+
+_EDGE_PX = 0.7  # neighbours whose blur radii differ by more are two surfaces; chosen by hand
+_SHARP_PX = 0.02  # smaller blur is skipped: it moves the centroid of a half pupil by less than 0.01 px
+
+
+@dataclass(frozen=True)
+class LayeredCapture:
+    """Result of the layered renderer."""
+
+    # (H, W, 3) float32: linear light behind the aperture; reflectance 1 through the open pupil gives 1
+    image: np.ndarray
+    layer_count: int  # layers that are not empty
+
+
+def render_layers(
+    color: np.ndarray, depth_mm: np.ndarray, *, camera: PupilCamera, aperture: Aperture, pitch_px: float = 0.5
+) -> LayeredCapture:
+    """Photograph an RGB-D picture that was taken from the pupil's centre.
+
+    Parameters
+    ----------
+    color : (H, W, 3) float
+        Sharp, linear.
+    depth_mm : (H, W) float
+        Distance from the sensor plane; NaN is replaced by the nearest known depth.
+    camera : PupilCamera
+        Of the picture's size.
+    aperture : Aperture
+    pitch_px : float
+        Difference of blur radius between layers; light in between is divided linearly.
+
+    Raises
+    ------
+    InputError
+        Wrong shapes, no known depth, depth behind the camera.
+    """
+    color = np.asarray(color, np.float32)
+    depth = np.asarray(depth_mm, np.float64)
+    if color.shape != (camera.height_px, camera.width_px, 3) or depth.shape != color.shape[:2]:
+        raise InputError(
+            f"colour {color.shape} and depth {depth.shape} must both have the camera's size, "
+            f"{camera.height_px} rows of {camera.width_px}"
+        )
+    radius = camera.blur_radius_px(fill_unknown(depth)).astype(np.float32)
+    reach = math.ceil(float(np.abs(radius).max())) + 2
+    pad, (color, radius) = _mirrored((color, radius), reach)
+    size = radius.shape
+    behind_color, behind_radius = behind_edges(color, radius, reach, _EDGE_PX)
+
+    hidden = behind_radius != radius
+    total = np.zeros((3, *size), np.float32)
+    cover = np.zeros((3, *size), np.float32)
+    before = np.zeros((3, *size), np.float32)  # coverage by surfaces that are clearly nearer
+    waiting: list[tuple[int, np.ndarray]] = []
+    count = 0
+    # The light of one surface is divided between two layers, which do not hide each other.
+    apart = max(math.floor(_EDGE_PX / pitch_px), 1)
+    first, last = math.floor(float(radius.min()) / pitch_px), math.ceil(float(behind_radius.max()) / pitch_px)
+    for level in range(first, last + 1):  # near to far
+        front = _matte(radius / np.float32(pitch_px) - level)
+        back = np.where(hidden, _matte(behind_radius / np.float32(pitch_px) - level), np.float32(0))
+        if not (front.any() or back.any()):
+            continue
+        count += 1
+        while waiting and level - waiting[0][0] > apart:
+            before += waiting.pop(0)[1]
+        shown = color * front[..., None] + behind_color * back[..., None]
+        planes = np.concatenate([shown.transpose(2, 0, 1), (front + back)[None]])
+        lit, veil = _blurred(planes, aperture, level * pitch_px)
+        seen = np.clip(1 - before, 0, 1)
+        total += lit * seen
+        cover += veil * seen
+        waiting.append((level, veil))
+    image = total / np.maximum(cover, np.float32(1e-3))
+    image *= channel_transmission(aperture).astype(np.float32)[:, None, None]
+    crop = image[:, pad : pad + depth.shape[0], pad : pad + depth.shape[1]]
+    return LayeredCapture(np.ascontiguousarray(np.maximum(crop, 0).transpose(1, 2, 0)), count)
+
+
+def _mirrored(pictures: Sequence[np.ndarray], reach: int) -> tuple[int, list[np.ndarray]]:
+    """Extend pictures by mirrored borders of at least ``reach`` px, because filtering is periodic.
+
+    Returns the width of the left and upper border, px, and the pictures, float32.
+    """
+    shape = pictures[0].shape[:2]
+    # Steps of 16 px keep the size, and so the cached transfer functions, from frame to frame of a video.
+    pad = min(16 * math.ceil(reach / 16), min(shape) - 1)
+    height, width = (scipy.fft.next_fast_len(n + 2 * pad, real=True) for n in shape)
+    rims = (pad, height - shape[0] - pad, pad, width - shape[1] - pad)
+    return pad, [
+        np.asarray(cv2.copyMakeBorder(p, *rims, borderType=cv2.BORDER_REFLECT_101), np.float32) for p in pictures
+    ]
+
+
+def fill_unknown(depth_mm: np.ndarray) -> np.ndarray:
+    """Replace unknown (NaN) depths by the nearest known one; raises InputError when none is known."""
+    unknown = np.isnan(depth_mm)
+    if not unknown.any():
+        return depth_mm
+    if unknown.all():
+        raise InputError("the depth map holds no depth at all: every pixel is NaN")
+    return depth_mm[_nearest(~unknown)]
+
+
+def _nearest(wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find row and column of the nearest wanted pixel, for every pixel."""
+    _, labels = cv2.distanceTransformWithLabels(
+        (~wanted).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    rows, columns = np.nonzero(wanted)
+    lookup = np.zeros((int(labels.max()) + 1, 2), np.int64)
+    lookup[labels[rows, columns]] = np.stack([rows, columns], -1)
+    found = lookup[labels]
+    return found[..., 0], found[..., 1]
+
+
+def behind_edges(color: np.ndarray, radius: np.ndarray, reach: int, edge_px: float) -> tuple[np.ndarray, np.ndarray]:
+    """Extrapolate far surfaces behind the near sides of depth edges.
+
+    Parameters
+    ----------
+    color : (H, W, 3) float32
+    radius : (H, W) float32
+        Signed blur radius, px; smaller is nearer.
+    reach : int
+        Distance behind an edge, px.
+    edge_px : float
+
+    Returns
+    -------
+    color, radius : the arguments, with the far surface in place of the near one
+    """
+    beside = cv2.erode(radius, np.ones((3, 3), np.uint8))
+    far_side = radius - beside > edge_px
+    if not far_side.any():
+        return color, radius
+    row, column = _nearest(far_side)
+    y, x = np.indices(radius.shape, dtype=np.int64)
+    hidden = (np.hypot(y - row, x - column) <= reach) & (radius[row, column] - radius > edge_px)
+    # Mirror at the far pixel next to the edge, unless the mirrored pixel is on the near surface too.
+    my = np.clip(2 * row - y, 0, radius.shape[0] - 1)
+    mx = np.clip(2 * column - x, 0, radius.shape[1] - 1)
+    usable = np.abs(radius[my, mx] - radius[row, column]) <= edge_px
+    my, mx = np.where(usable, my, row), np.where(usable, mx, column)
+    out_color = np.where(hidden[..., None], color[my, mx], color)
+    return out_color, np.where(hidden, radius[my, mx], radius)
+
+
+def _matte(level: np.ndarray) -> np.ndarray:
+    """Compute a layer's weight at a pixel ``level`` layers beyond it: linear between the two nearest layers."""
+    return np.maximum(1 - np.abs(level), 0)
+
+
+def _blurred(planes: np.ndarray, aperture: Aperture, radius_px: float) -> tuple[np.ndarray, np.ndarray]:
+    """Blur colour (3, h, w) and coverage (3, h, w) of a layer by each channel's pupil."""
+    if abs(radius_px) < _SHARP_PX:
+        return planes[:3], np.broadcast_to(planes[3], (3, *planes.shape[1:]))
+    shape = planes.shape[1:]
+    otf = geometric_otf(aperture, radius_px, (shape[0], shape[1]))
+    with scipy.fft.set_workers(-1):
+        spectra = scipy.fft.rfft2(planes)
+        blurred = scipy.fft.irfft2(np.concatenate([spectra[:3] * otf, spectra[3] * otf]), s=shape)
+    return blurred[:3], np.clip(blurred[3:], 0, 1)

@@ -1,1 +1,0 @@
-"""Pages for the browser that need no server and no other file: maps with their values, and clouds of points."""

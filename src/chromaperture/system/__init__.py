@@ -1,0 +1,1 @@
+"""What every part uses: errors, checks of values, threads, memory, compilation, storage, clusters."""
