@@ -4,8 +4,8 @@
         [--plot FILE.png]
 
 A 50 mm f/2 lens focused at 2 m is simulated, without aberrations, behind a sensor of 6000 x 4000 pixels: six textured
-surfaces at different distances, blurred by up to 69 px (`optics/simulator/layer_renderer.py`). Smaller sensors see the same
-light: means over their larger pixels, then the photon noise of their larger wells. The curve of quality real-time is
+surfaces at different distances, blurred by up to 69 px (`optics/simulator/layer_renderer.py`). Smaller sensors see the
+same light: means over their larger pixels, then the photon noise of their larger wells. The curve of real-time is
 fitted to flat walls in the pixels in which the camera matches, as `calibrate` does it (720 x 480, and 750 x 500 of the
 large sensor): its bias belongs to windows of so many pixels. That of accurate is the optics' own. Every
 photograph is measured by ``chromaperture depth`` in a process of its own; ``peak_gb`` is that process's largest

@@ -3,8 +3,8 @@
     python benchmarks/simulated_phone.py --out FOLDER [--work FOLDER] [--only everything nothing] [--small]
 
 The package's 4 mm lens (``phone_4``) with the film 0.5 mm before its stop, between front lens and cover glass as in the
-paper's prototype. Light is rendered ray by ray at 1280x720; `optics/simulator/video_signal.py` puts noise, tone curve, 4:2:0
-colours and 8 bits on it, and the page's halving. The session is filled by the assistant's own checks, calibrated
+paper's prototype. Light is rendered ray by ray at 1280x720; `optics/simulator/video_signal.py` puts noise, tone curve,
+4:2:0 colours and 8 bits on it, and the page's halving. The session is filled by the assistant's own checks, calibrated
 by its job, and planes at other distances are measured with the camera file it made, as ``api/frames`` measures.
 
 Each loss is taken alone and left out alone; what it changes is also told pixel by pixel. Writes ``phone.json`` and

@@ -148,7 +148,7 @@ def _copy_notebooks() -> None:
         _write(HERE / "notebooks" / notebook.name, notebook.read_text(encoding="utf-8"))
 
 
-LEAVES = ("cli", "evaluation", "viewer")  # programs, which nobody calls; without them the site takes half the time
+LEAVES = ("cli", "evaluation")  # programs, which nobody calls; without them the site takes half the time
 _write_reference()
 _copy_notebooks()
 

@@ -1,4 +1,4 @@
-"""Every stage compiled (``cpu/``) against the readable one (``stages/``), and every method in both executions.
+"""Every stage compiled (``compiled/``) against the readable one (``readable/``), and every method in both executions.
 
 Every design, every setting, borders, odd sizes and pictures one px wide, unknown and saturated pixels included.
 """

@@ -1,4 +1,4 @@
-"""Every stage in WGSL against the readable one (``stages/``), on whatever device there is: the same shader files."""
+"""Every stage in WGSL against the readable one (``readable/``), on whatever device there is: the same shader files."""
 
 from __future__ import annotations
 

@@ -19,75 +19,39 @@ SOURCES = {
 }
 MAX_LINES = 800
 
-STAGES = {"capture", "color", "disparity", "depth"}
-BELOW_LEAVES = STAGES | {"optics", "config", "stage_config", "planes_config", "spectral_config", "storage",
-                         "camera_parts", "camera_file", "camera_matching", "camera_scale", "camera_memory",
-                         "camera_alignment", "camera_crop", "camera", "cluster", "formats", "frame", "calibration",
-                         "products"}  # fmt: skip
-# What a part of the package may import, besides itself; COMMON may be imported by all but itself.
-COMMON = {"errors", "compilation", "threads", "robust", "validation", "memory", "rows_on_demand", "scratch",
-          "shots"}  # fmt: skip
+# What a room may import, besides itself: every arrow goes down this list, which begins at the bottom.
 ALLOWED: dict[str, set[str]] = {
-    **{part: set() for part in COMMON},
-    "validation": {"errors"},
-    "memory": {"errors"},
-    "scratch": {"errors"},
-    "threads": {"errors"},  # numbers of threads in the environment are refused like any input
-    "compile_ahead": set(),
-    "stage_config": {"errors"},
-    "planes_config": {"stage_config"},
-    "spectral_config": {"errors", "stage_config"},
-    "config": {"errors", "stage_config", "planes_config", "spectral_config"},
-    "optics": set(),  # the forward model shares no code with the estimator that it tests
-    "color": {"optics"},
-    "capture": {"optics", "color", "deflate"},
-    "disparity": {"optics", "color", "config", "stage_config", "planes_config", "spectral_config"},
-    "depth": {"color", "config"},  # works on any disparity map, however it was made
-    "deflate": set(),
-    "png_encoding": {"deflate"},
-    "storage": {"color", "png_encoding"},
-    "asdf_input": set(),
-    "camera_tree": set(),
-    "cluster": set(),
-    "camera_parts": {"color"},
-    "camera_file": {"optics", "color", "config", "depth", "storage", "asdf_input", "camera_parts", "camera_tree"},
-    "config_file": {"config"},
-    "camera_scale": {"optics", "camera_parts", "camera_file", "depth", "capture"},
-    "camera_memory": {"camera_file", "camera_scale", "config"},
-    "camera_matching": {"camera_file", "camera_scale", "color", "config", "disparity"},
-    "camera_alignment": {"camera_file", "camera_scale", "color", "config", "depth"},
-    "formats": {"storage", "png_encoding"},  # arrays in, files of other programs out
-    "frame": {"camera_file", "config", "storage", "color", "depth", "formats"},  # the result, and what is made of it
-    "camera_crop": {"camera_file", "frame"},
-    "camera": {"camera_file", "camera_scale", "camera_memory", "camera_matching", "camera_alignment", "camera_crop",
-               "config", "frame"} | STAGES,
-    "calibration": {"optics", "stage_config", "camera_matching", "camera_scale", "camera_parts", "camera_file",
-                    "config"} | STAGES,
-    "products": {"camera", "camera_file", "cluster", "config", "formats", "frame", "storage", "capture", "color",
-                 "depth"},
-    "pages": {"color", "depth"},  # pages of maps and points, of whatever is put on them
-    "effects": {"optics", "camera", "camera_matching", "camera_alignment", "camera_file", "config", "color", "depth",
-                "disparity"},  # the last for its shaders
-    "reconstruction": {"camera", "products", "storage", "capture", "color", "depth"},
-    # It shows the model, and the picture focused elsewhere.
-    "viewer": {"camera", "products", "storage", "capture", "color", "depth", "effects", "reconstruction",
-               "pages", "camera_file", "config"},
-    # It calibrates with its report, measures and refocuses, behind the checks of the viewer.
-    "app": BELOW_LEAVES | {"effects", "evaluation", "viewer"} | {"__init__"},  # the last for the version
-    "evaluation": BELOW_LEAVES | {"effects", "reconstruction", "pages"},  # the paper's Figures 14 and 15 show them
-    "cli": BELOW_LEAVES | {"compile_ahead", "config_file", "effects", "reconstruction", "viewer", "evaluation", "pages"}
-           | {"app", "__init__"},
-    "tasks": BELOW_LEAVES | {"effects", "evaluation"},  # whole tasks in one call, for Python
-    "__main__": {"cli"},
-    # Public names, each imported when it is first used.
-    "__init__": BELOW_LEAVES | {"effects", "tasks"},
+    "system": set(),
+    "optics": {"system"},  # the forward model shares no code with the estimator that it tests
+    "settings": {"system"},
+    "color": {"system", "optics"},
+    "matching": {"system", "optics", "color", "settings"},
+    "depth": {"system", "color", "settings"},  # works on any disparity map, however it was made
+    "capture": {"system", "optics", "color"},
+    "files": {"system", "color", "depth"},  # arrays in, files of other programs out
+    "model": {"system", "optics", "color", "settings", "depth", "capture"},
+    "frame": {"system", "color", "settings", "depth", "files", "model"},  # the result, and what is made of it
+    "camera": {"system", "color", "settings", "matching", "depth", "capture", "model", "frame"},
+    "effects": {"system", "optics", "color", "settings", "matching", "depth", "model", "camera"},
+    "products": {"system", "color", "settings", "depth", "capture", "files", "model", "frame", "camera"},
+    "calibration": {"system", "optics", "color", "settings", "matching", "depth", "capture", "model", "camera"},
+    "reconstruction": {"system", "color", "depth", "capture", "camera", "products"},
+}
+BELOW = set(ALLOWED)
+ALLOWED |= {
+    "evaluation": BELOW - {"frame", "effects", "reconstruction"},
+    "tasks": BELOW | {"evaluation"},  # whole tasks in one call, for Python
+    "app": BELOW | {"evaluation"} | {"__init__"},  # the last for the version
+    "cli": BELOW | {"evaluation", "app", "__init__"},
+    "__main__": {"system", "cli"},
+    "__init__": BELOW | {"tasks"},  # public names, each imported when it is first used
 }
 EXECUTIONS = ("chromaperture.matching.compiled", "chromaperture.matching.readable")
 # Who imports modules of an execution from outside the two of them, and why.
 MAY_IMPORT_CPU = {
     "matching/execution.py",  # chooses between them
 }
-# Besides disparity/gpu/, whose shaders take their constants and tables from the readable stages.
+# Besides matching/device/, whose shaders take their constants and tables from the readable stages.
 MAY_IMPORT_EXECUTIONS = MAY_IMPORT_CPU | {
     # What both executions share, defined where the readable one explains it:
     "matching/accurate.py",  # the place between two layers
@@ -155,8 +119,7 @@ def wrong_imports(part: str, source: str, package: tuple[str, ...]) -> list[str]
         target = inner.split(".")[0]
         if target not in ALLOWED:
             target = "__init__"  # a public name of the package itself
-        everyone_may = set() if part in COMMON else COMMON
-        if target != part and target not in ALLOWED[part] | everyone_may:
+        if target != part and target not in ALLOWED[part]:
             wrong.append(f"{part} imports {name}")
     return wrong
 
@@ -239,23 +202,12 @@ def test_the_readable_stages_compile_nothing():
     for where, text in SOURCES.items():
         if where.startswith("matching/readable/"):
             names = imported(ast.walk(ast.parse(text)), package_of(where))
-            assert not [n for n in names if n.startswith(("numba", "llvmlite", "chromaperture.system.compilation"))], where
+            assert not [n for n in names if n.startswith(("numba", "llvmlite", "chromaperture.system.comp"))], where
 
 
 def test_there_is_one_way_to_compile_and_one_to_start_threads():
     wrong = {where: other_ways(text, where) for where, text in SOURCES.items()}
     assert {where: found for where, found in wrong.items() if found} == {}
-
-
-def test_no_file_name_stands_twice():
-    """Except a command's own file in cli/, which has the command's name, and the twins of the two executions."""
-    places: dict[str, list[str]] = {}
-    for where in SOURCES:
-        folder, _, name = where.rpartition("/")
-        if name != "__init__.py" and folder != "cli":
-            places.setdefault(name, []).append(folder)
-    twice = {name: folders for name, folders in places.items() if len(folders) > 1}
-    assert {name: f for name, f in twice.items() if f != ["disparity/cpu", "disparity/stages"]} == {}
 
 
 def test_optional_packages_are_not_in_the_base_install():
@@ -271,16 +223,16 @@ def test_files_stay_readable_in_one_sitting():
     [
         ("optics", "from chromaperture.color.unmixing import unmix"),
         ("optics", "def f():\n    import chromaperture.matching.estimate"),
-        ("optics", "from ..disparity import estimate"),
+        ("optics", "from ..matching import estimate"),
         ("optics", "from chromaperture import estimate_disparity"),
         ("color", "from chromaperture.matching import reference"),
         ("depth", "from chromaperture.matching.estimate import Disparity"),
         ("camera", "from chromaperture.calibration.session import read_session"),
-        ("disparity", "from chromaperture.depth.conversion import DepthModel"),
+        ("matching", "from chromaperture.depth.conversion import DepthModel"),
         ("depth", "from chromaperture.capture.files import read_image"),
         ("effects", "from chromaperture.app.live import show"),
         ("camera", "from chromaperture.cli.main import main"),
-        ("errors", "from chromaperture.system.threads import in_parallel"),
+        ("system", "from chromaperture.color.film import Film"),
         ("color", "from chromaperture.settings.methods import PaperConfig"),
     ],
 )
@@ -314,7 +266,7 @@ def test_a_package_outside_the_base_install_is_found(source, found):
     ],
 )
 def test_an_imported_execution_is_found(source, found):
-    assert executions_imported(source, ("chromaperture", "disparity")) == {found}
+    assert executions_imported(source, ("chromaperture", "matching")) == {found}
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """The plan by which a browser measures: all that it runs on its own device, decided here.
 
-A plan is the chain of ``disparity/gpu`` for a camera and a size of frame, written down: texts of shaders, arrays, what
+A plan is the chain of ``matching/device`` for a camera and a size of frame, written down: shaders, arrays, what
 the constant ones hold, and the dispatches in their order. The page (``static/webgpu.js``) adds nothing of its own.
 """
 

@@ -8,6 +8,7 @@ import importlib
 import signal
 import sys
 import warnings
+from importlib.metadata import entry_points
 from typing import Annotated, NoReturn
 
 import typer
@@ -27,10 +28,12 @@ app = typer.Typer(
 )
 _COMMANDS = (
     "demo", "depth", "calibrate", "info", "check", "board", "apertures", "refocus", "transparency", "simulate",
-    "sources", "record", "export", "evaluate", "reconstruct", "live", "serve", "view", "compare",
+    "sources", "record", "export", "reconstruct", "live", "serve", "view", "compare",
 )  # fmt: skip
 for name in _COMMANDS:  # each is a function in a module of its own name
     app.command()(getattr(importlib.import_module(f"chromaperture.cli.{name}"), name))
+for entry in entry_points(group="chromaperture.commands"):  # of packages beside this one
+    app.command(entry.name)(entry.load())
 app.command("simulate-rgbd")(simulate_rgbd)
 app.add_typer(new_session.app, name="session")
 

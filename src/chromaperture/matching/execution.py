@@ -1,6 +1,6 @@
 """The stages of every method as one interface, and the executions that implement it.
 
-``stages/`` is readable NumPy and explains each stage; ``cpu/`` has the same names compiled by Numba. Both are packages
+``readable/`` is NumPy and explains each stage; ``compiled/`` has the same names compiled by Numba. Both are packages
 whose functions have the signatures below; `execution_named` chooses between them, and nothing else does.
 """
 
@@ -25,7 +25,7 @@ from chromaperture.system.errors import InputError
 
 
 class Execution(Protocol):
-    """One implementation of every stage; the docstrings are in ``stages/``."""
+    """One implementation of every stage; the docstrings are in ``readable/``."""
 
     def correlate(self, views: Views, layers_px: np.ndarray, *, config: CorrelationConfig) -> np.ndarray:
         """Score every layer; (H, W, D)."""
@@ -176,11 +176,11 @@ class Execution(Protocol):
 def execution_named(name: ExecutionName) -> Execution:
     """Return the execution of a name; raises InputError."""
     if name == "numpy":
-        from chromaperture.matching import readable as stages
+        from chromaperture.matching import readable
 
-        return stages
+        return readable
     if name == "numba":
-        from chromaperture.matching import cpu  # compiling starts here, not at import
+        from chromaperture.matching import compiled  # compiling starts here, not at import
 
-        return cpu
+        return compiled
     raise InputError(f"unknown execution {name!r}: choose numba or numpy")

@@ -1,7 +1,7 @@
 """Total variation on a disparity map, the regularisation of the paper's Figure 10 (its reference [6]).
 
-`stages/variation.py` has the energy and its minimisation. Regularise disparity, which is affine in inverse depth, never
-depth itself.
+`readable/variation.py` has the energy and its minimisation. Regularise disparity, which is affine in inverse depth,
+never depth itself.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Every default of the method: one frozen dataclass a method, composed of its stages' (`settings/stages.py`).
 
-A stage receives only its own section. Every value can be set from Python and, as `settings/toml_file.py` reads it, from TOML.
+A stage receives only its own section. Every value can be set from Python and from TOML (`settings/toml_file.py`).
 """
 
 from __future__ import annotations

@@ -249,7 +249,7 @@ class CrossFilterConfig:
         but are less exact.
     own_detail : bool; whether evidence counts as far as it is a pixel's own (``matching/own_detail.py``)
     allowed_growth : float
-        Of a window's power, beyond which detail comes from elsewhere (``stages/band_correlation.py``); 0 is any.
+        Of a window's power, beyond which detail comes from elsewhere (``readable/band_correlation.py``); 0 is any.
     """
 
     bands_px: tuple[tuple[float, float], ...] = ((0.6, 1.4), (1.4, 3.2))

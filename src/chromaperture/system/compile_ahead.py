@@ -2,7 +2,7 @@
 
 Numba compiles one kernel after the other, when each is first called. ``kernels.json`` lists the kernels of each
 quality with the types of their arguments, so that other processes can compile them at the same time; all write to the
-cache on disk (`system/compilation.py`), from which this process then reads. What the list lacks is compiled when it is called.
+cache on disk (`compilation.py`), from which this process then reads. What the list lacks is compiled when called.
 
 The list is made by ``python benchmarks/kernel_list.py``.
 """
@@ -27,7 +27,8 @@ Update = Callable[[str, int, int], None]  # what is being done, how many are don
 WHAT = "compiling kernels, once for this machine"
 _LIST = Path(__file__).parent / "kernels.json"
 # The program of a helper process. Its modules are this process's, not those of the folder it runs in (-P).
-_HELPER = "import sys; sys.path.insert(0, {!r}); from chromaperture.system.compile_ahead import help_compiling; help_compiling()"
+_HELPER = "import sys; sys.path.insert(0, {!r})\n"
+    "from chromaperture.system.compile_ahead import help_compiling; help_compiling()"
 
 
 @dataclass(frozen=True)

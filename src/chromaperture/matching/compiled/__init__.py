@@ -1,4 +1,4 @@
-"""Every stage compiled by Numba, under the names of ``stages/``, which explains what each computes."""
+"""Every stage compiled by Numba, under the names of ``readable/``, which explains what each computes."""
 
 from chromaperture.matching.compiled.band_correlation import band_correlation, band_powers
 from chromaperture.matching.compiled.bilateral import bilateral_winner

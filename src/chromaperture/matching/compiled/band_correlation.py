@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-defs=False
-"""Correlation of two pictures in one band, compiled; ``stages/band_correlation.py`` explains what is computed."""
+"""Correlation of two pictures in one band, compiled; ``readable/band_correlation.py`` explains what is computed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Correlation, bilateral filter and best layer, compiled; ``stages/bilateral.py`` explains what is computed."""
+"""Correlation, bilateral filter and best layer, compiled; ``readable/bilateral.py`` explains what is computed."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-defs=False
-"""Correlations for cells of 2 x 2 px, compiled; ``stages/correlation.py`` explains what is computed.
+"""Correlations for cells of 2 x 2 px, compiled; ``readable/correlation.py`` explains what is computed.
 
 Eight neighbouring cells are one vector. A thread takes bands of rows; for every layer it samples the views, sums their
 products over windows along x, at every second px only, and then over the rows of a ring. Columns of even and of odd

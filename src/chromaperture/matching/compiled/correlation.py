@@ -1,4 +1,4 @@
-"""Correlation of shifted views, compiled; ``stages/correlation.py`` explains what is computed.
+"""Correlation of shifted views, compiled; ``readable/correlation.py`` explains what is computed.
 
 Schedule. Horizontal recursions need whole rows, vertical ones whole columns, and a volume of scores does not fit the
 caches; so the picture is cut twice.

@@ -1,4 +1,4 @@
-"""Filtering channels with each other's blur, compiled; ``stages/cross_filter.py`` explains what is computed.
+"""Filtering channels with each other's blur, compiled; ``readable/cross_filter.py`` explains what is computed.
 
 P and Q are the real and the imaginary part of one picture, whose spectrum is transformed back at once.
 """

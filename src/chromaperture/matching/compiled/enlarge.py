@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-defs=False
-"""From the halved picture to full resolution, compiled; ``stages/enlarge.py`` explains what is computed."""
+"""From the halved picture to full resolution, compiled; ``readable/enlarge.py`` explains what is computed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Semi-global matching along rows and columns, compiled; ``stages/four_paths.py`` explains what is computed.
+"""Semi-global matching along rows and columns, compiled; ``readable/four_paths.py`` explains what is computed.
 
 The volume of scores is made by `bands.py` and turned into log-likelihoods in place; a second one of the same size takes
 the sum of the costs along the rows (`path_costs.py`). Memory: 4 bytes a score of the halved picture.

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-defs=False
-"""Regions that join, compiled; ``stages/joining.py`` explains what is computed."""
+"""Regions that join, compiled; ``readable/joining.py`` explains what is computed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Semi-global matching of a volume, compiled; ``stages/paths.py`` explains what is computed.
+"""Semi-global matching of a volume, compiled; ``readable/paths.py`` explains what is computed.
 
 Every straight line of pixels is walked there and back by one thread. A pixel lies on exactly one line of each of the
 four families, so the threads never write to the same pixel and the memory is the two volumes and a few buffers as long

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-defs=False
-"""Place between the layers and error bar of quality "real-time", compiled; ``stages/place.py`` explains them."""
+"""Place between the layers and error bar of quality "real-time", compiled; ``readable/place.py`` explains them."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-defs=False
-"""Costs of planes, compiled; ``stages/planes.py`` explains what is computed."""
+"""Costs of planes, compiled; ``readable/planes.py`` explains what is computed."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-defs=False
-"""Averages along a surface, compiled; ``stages/smoothing.py`` explains what is computed."""
+"""Averages along a surface, compiled; ``readable/smoothing.py`` explains what is computed."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-defs=False
-"""Likelihood of windows' spectra, compiled; ``stages/spectral_likelihood.py`` explains what is computed.
+"""Likelihood of windows' spectra, compiled; ``readable/spectral_likelihood.py`` explains what is computed.
 
 A frequency's matrix is factored channel by channel. Colours correlate to 0.998, so that a determinant written out loses
 five digits; what a channel has of its own, given those before it, loses three, and float32 has seven.

@@ -1,5 +1,5 @@
 # mypy: disallow-untyped-defs=False
-"""From the working scale to the photograph's pixels, compiled; ``stages/upsample.py`` explains what is computed."""
+"""From the working scale to the photograph's pixels, compiled; ``readable/upsample.py`` explains what is computed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Primal-dual iterations of total variation, compiled; ``stages/variation.py`` explains what is computed.
+"""Primal-dual iterations of total variation, compiled; ``readable/variation.py`` explains what is computed.
 
 An iteration reads and writes far more than it computes, so what counts is how often the arrays travel from
 memory. Row i of iteration t needs only rows i - 1 .. i + 1 of iteration t - 1. The sweep therefore runs as

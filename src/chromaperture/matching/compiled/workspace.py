@@ -57,7 +57,7 @@ _volumes: deque[np.ndarray] = deque(maxlen=_VOLUMES)  # memory that no array use
 def volume(shape: tuple[int, ...]) -> np.ndarray:
     """Return a float32 array with whatever numbers an earlier one left in it; its memory is kept for later ones.
 
-    Inside `chromaperture.system.scratch.volumes_on_disk` it is a file's; raises OutOfMemoryError where the disk is full.
+    Inside `system.scratch.volumes_on_disk` it is a file's; raises OutOfMemoryError where the disk is full.
     """
     if are_volumes_on_disk():
         return scratch_array(shape)

@@ -1,1 +1,1 @@
-"""Stages as WGSL compute shaders, under the names of ``stages/``; one chain of them a method, see ``device.py``."""
+"""Stages as WGSL compute shaders, under the names of ``readable/``; one chain of them a method, see ``device.py``."""

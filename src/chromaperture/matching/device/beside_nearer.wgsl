@@ -1,4 +1,4 @@
-// Cells beside nearer things know less of their place: `stages/place.py`, `BESIDE_NEARER`.
+// Cells beside nearer things know less of their place: `readable/place.py`, `BESIDE_NEARER`.
 
 @group(0) @binding(0) var<storage, read> winner: array<f32>;  // (3, h, w): layer, likelihood there, sigma in layers
 @group(0) @binding(1) var<storage, read_write> places: array<vec2f>;  // (h, w): information, place times information

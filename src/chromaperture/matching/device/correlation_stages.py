@@ -1,4 +1,4 @@
-"""Scores of all layers on the device: ``stages/correlation.py``, in WGSL.
+"""Scores of all layers on the device: ``readable/correlation.py``, in WGSL.
 
 Layers share samples: a view moved by whole px is the same samples elsewhere. So each view is sampled and windowed once
 at every sub-pixel phase (an entry), and a layer only windows the product of two entries. Layers come in chunks whose

@@ -1,4 +1,4 @@
-// Unexplained fractions at the labels of a map, of every sample; see `stages/paths.py`, read_at_labels. A workgroup has
+// Unexplained fractions at the labels of a map, of every sample; see `readable/paths.py`, read_at_labels. A workgroup has
 // one sample. A map varies so little between samples that pixels need no polynomials of their own.
 
 @group(0) @binding(0) var<storage, read> unexplained: array<f32>;  // (samples, layers)

@@ -1,4 +1,4 @@
-// Log-likelihoods at the labels of a map, of the scores of every pixel; see `stages/paths.py`, read_at_labels. A
+// Log-likelihoods at the labels of a map, of the scores of every pixel; see `readable/paths.py`, read_at_labels. A
 // workgroup has one pixel.
 
 @group(0) @binding(0) var<storage, read> scores: array<f32>;  // (h, w, layers), of two or three views

@@ -1,5 +1,5 @@
 // Tangents of the log of the unexplained fraction at the last offset from the nearest layer; see
-// `stages/between_layers.py`. Their averages give the next offset (`layer_offsets.wgsl`).
+// `readable/between_layers.py`. Their averages give the next offset (`layer_offsets.wgsl`).
 
 @group(0) @binding(0) var<storage, read> winner: array<vec3f>;
 @group(0) @binding(1) var<storage, read> offset: array<f32>;

@@ -1,4 +1,4 @@
-// Cells whose strongest score is negative count by that sign: `stages/correlation.py`, `of_own_sign`.
+// Cells whose strongest score is negative count by that sign: `readable/correlation.py`, `of_own_sign`.
 
 @group(0) @binding(0) var<storage, read_write> score: array<f32>;  // (cells, all_layers), parts of 1 / score_parts
 

@@ -1,4 +1,4 @@
-// Log-likelihood of windows' spectra at every layer, for every slope; see `stages/spectral_likelihood.py`. The
+// Log-likelihood of windows' spectra at every layer, for every slope; see `readable/spectral_likelihood.py`. The
 // invocations of a window share its frequencies. Colours correlate to 0.998. So a covariance is factored as L D L*, in
 // single precision exact to 1e-4, where its determinant written out would be off by 1 %; and of the colours' covariance
 // S = R R^T the root R is kept: S <- R (1 + R^T M R / F) R^T loses nothing of what is small in S.

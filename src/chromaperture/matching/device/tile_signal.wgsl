@@ -1,4 +1,4 @@
-// The fraction of the tiles' power that is no noise, at every frequency; see `stages/tiles.py`.
+// The fraction of the tiles' power that is no noise, at every frequency; see `readable/tiles.py`.
 
 @group(0) @binding(0) var<storage, read> power: array<f32>;  // (tiles, 3, size, size / 2 + 1)
 @group(0) @binding(1) var<storage, read> noise: array<f32>;  // (tiles, 3): power of the noise at any frequency

@@ -1,5 +1,5 @@
 // Maps of the working scale at every pixel of the photograph: linear within a surface, and over a depth edge the mean of
-// the side that is nearer and more like the photograph. See `stages/upsample.py`.
+// the side that is nearer and more like the photograph. See `readable/upsample.py`.
 
 @group(0) @binding(0) var<storage, read> image: array<f32>;  // (H, W, 3)
 @group(0) @binding(1) var<storage, read> coarse: array<u32>;  // (4, h, w): disparity, NaN unknown; sigma; confidence; guide

@@ -1,5 +1,5 @@
 // Costs of all paths of one direction (dx, dy) through a volume of log-likelihoods, added to `total`; see
-// `stages/paths.py`. A path is walked by `lanes` invocations, each of which holds `own_layers` neighbouring layers.
+// `readable/paths.py`. A path is walked by `lanes` invocations, each of which holds `own_layers` neighbouring layers.
 // The least of L(q, e) + slope |d - e| over e is a scan up and one down the layers of an invocation; what comes from
 // other invocations travels through shared memory together with the least cost, with one barrier a pixel. A step computes
 // little and would wait for the memory: what it needs is read `ahead` steps before.

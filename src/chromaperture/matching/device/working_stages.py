@@ -1,4 +1,4 @@
-"""Matching at a fraction of the pixels on the device: ``working_scale.py`` and ``stages/upsample.py``, in WGSL."""
+"""Matching at a fraction of the pixels on the device: ``working_scale.py`` and ``readable/upsample.py``, in WGSL."""
 
 from __future__ import annotations
 

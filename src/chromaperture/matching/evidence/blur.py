@@ -7,7 +7,7 @@ blur H_k(z) of each channel is known, filtering each with the other's does align
 
 and D = P - Q is the residual of maximum likelihood over the unknown sharp picture (``docs/equations.md``). The
 correlation of P and Q in a window, in two octaves, is the evidence for a depth. Blur changes over the frame: H is
-computed at nodes on a grid (``stages/tiles.py``), and P and Q are interpolated between them.
+computed at nodes on a grid (``readable/tiles.py``), and P and Q are interpolated between them.
 
 A wide blur also spreads detail over surroundings that have none: `stages.band_correlation` takes that off where the
 settings ask for it.

@@ -6,7 +6,7 @@ spectra y, given a layer's blur, uses all of it::
 
     L(z) = -sum_f [ log det C(f, z) + y^H C^-1 y ],   C = S o G + N
 
-with the colours' covariance S estimated in the window for every layer (``stages/spectral_likelihood.py``), and the
+with the colours' covariance S estimated in the window for every layer (``readable/spectral_likelihood.py``), and the
 slope of the texture's power spectrum drawn from a distribution that is learned over the picture: a known slope tells
 how large blur is, a wrong one misleads.
 

@@ -1,4 +1,4 @@
-"""Every stage in readable NumPy: what it computes. ``cpu/`` has the same names compiled; see ``execution.py``."""
+"""Every stage in readable NumPy: what it computes. ``compiled/`` has the same names compiled; see ``execution.py``."""
 
 from chromaperture.matching.readable.band_correlation import band_correlation, band_powers
 from chromaperture.matching.readable.bilateral import bilateral_winner

@@ -1,4 +1,4 @@
-"""Recursive bilateral filter over the scores, and the best layer, in NumPy: the oracle of ``cpu/bilateral.py``."""
+"""Recursive bilateral filter over the scores, and the best layer, in NumPy: the oracle of ``compiled/bilateral.py``."""
 
 from __future__ import annotations
 

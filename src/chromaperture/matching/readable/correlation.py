@@ -1,4 +1,4 @@
-"""Correlation of shifted views for every layer, in plain NumPy: slow, readable, the oracle of ``cpu/correlation.py``.
+"""Correlation of shifted views for every layer, in plain NumPy: the oracle of ``compiled/correlation.py``.
 
 The views are moved by a layer's disparity and correlated in an exponentially weighted window. Beyond its border the
 picture is continued by the border's value: windows and shifts then commute and a correlation stays in [-1, 1].

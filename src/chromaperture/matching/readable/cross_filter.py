@@ -1,4 +1,4 @@
-"""Filtering channels with each other's blur, in plain NumPy: the oracle of ``cpu/cross_filter.py``."""
+"""Filtering channels with each other's blur, in plain NumPy: the oracle of ``compiled/cross_filter.py``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the halved picture to full resolution, steered by the guide, in NumPy: the oracle of ``cpu/enlarge.py``."""
+"""From the halved picture to full resolution, steered by the guide, in NumPy: the oracle of ``compiled/enlarge.py``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Semi-global matching along rows and columns, in plain NumPy: the oracle of ``cpu/four_paths.py``.
+"""Semi-global matching along rows and columns, in plain NumPy: the oracle of ``compiled/four_paths.py``.
 
 Correlations become log-likelihoods; the four axis-parallel paths aggregate them and choose the layer. A pixel
 of cost c(d), what has come to it along its path included, sends ``m(d) = min(c(d), min c + e jump) - min c`` to the

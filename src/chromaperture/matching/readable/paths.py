@@ -1,4 +1,4 @@
-"""Semi-global matching of a volume of log-likelihoods, in plain NumPy: the oracle of ``cpu/paths.py``.
+"""Semi-global matching of a volume of log-likelihoods, in plain NumPy: the oracle of ``compiled/paths.py``.
 
 Weak texture leaves the likelihood of a single window flat; only more pixels help. Semi-global matching aggregates them
 along straight paths through every pixel, on each of which the best path is found exactly::

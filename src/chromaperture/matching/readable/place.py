@@ -1,6 +1,6 @@
 """Where between two layers a pixel of quality "real-time" lies, and its error bar, in plain NumPy.
 
-The oracle of ``cpu/place.py``.
+The oracle of ``compiled/place.py``.
 """
 
 from __future__ import annotations

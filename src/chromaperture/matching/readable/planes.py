@@ -1,4 +1,4 @@
-"""What a scene of planes costs on a volume of log-likelihoods, in plain NumPy: the oracle of ``cpu/planes.py``.
+"""What a scene of planes costs on a volume of log-likelihoods, in plain NumPy: the oracle of ``compiled/planes.py``.
 
 A plane in the world is a plane in labels of equal depth: ``label(x, y) = a x + b y + c``, because 1 / depth is linear
 in the image. A set of planes is a (K, 3) array of a, b (px per px) and c (px).

@@ -1,4 +1,4 @@
-"""Averages along a surface on an even guide, in plain NumPy: the oracle of ``cpu/smoothing.py``."""
+"""Averages along a surface on an even guide, in plain NumPy: the oracle of ``compiled/smoothing.py``."""
 
 from __future__ import annotations
 

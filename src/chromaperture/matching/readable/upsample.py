@@ -1,4 +1,4 @@
-"""From the working scale to the photograph's pixels, in NumPy: the oracle of ``cpu/upsample.py``.
+"""From the working scale to the photograph's pixels, in NumPy: the oracle of ``compiled/upsample.py``.
 
 Within a surface the maps are interpolated linearly. Where the four working pixels around a pixel are not of one
 surface, the photograph decides, in its own pixels: the pixel belongs to the side whose working pixels are nearer and

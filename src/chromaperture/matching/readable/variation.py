@@ -1,6 +1,6 @@
 """Total variation by the first-order primal-dual algorithm, in plain NumPy.
 
-The oracle of ``cpu/variation.py``. Minimises over ``lo <= u <= hi`` the energy ::
+The oracle of ``compiled/variation.py``. Minimises over ``lo <= u <= hi`` the energy ::
 
     sum |(ex du/dx, ey du/dy)|_h  +  fidelity * sum w * |u - f|        data_term "absolute" (Huber-L1)
     sum |(ex du/dx, ey du/dy)|_h  +  fidelity / 2 * sum w * (u - f)^2   data_term "quadratic" (Huber-ROF)
@@ -127,7 +127,7 @@ def divergence(p: np.ndarray) -> np.ndarray:
 
 
 def iterate(problem: Problem, state: State, steps: Steps) -> None:
-    """Run the primal-dual iterations on ``state``, in plain NumPy: the oracle of ``cpu/variation.py``."""
+    """Run the primal-dual iterations on ``state``, in plain NumPy: the oracle of ``compiled/variation.py``."""
     f, lo, hi = problem.target, *problem.bounds
     for tau, sigma, theta in zip(*(s.astype(f.dtype) for s in steps), strict=True):
         p = state.dual + sigma * _weighted(gradient(state.extrapolated), problem.edges)
