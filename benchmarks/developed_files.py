@@ -22,8 +22,8 @@ import cv2
 import numpy as np
 from PIL import Image
 
+from chromaperture.camera import method as camera_matching
 from chromaperture.camera.camera import CodedApertureCamera, load_camera
-from chromaperture.camera.camera import method as camera_matching
 from chromaperture.color import noise
 from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
 

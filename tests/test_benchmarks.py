@@ -17,6 +17,9 @@ OTHERS = {
 }  # fmt: skip
 
 
+OURS = {"chromaperture", "chromaperture_paper"}
+
+
 def top_level_names(path: Path) -> set[str]:
     """What a file defines, assigns and imports outside of functions and classes; it is not run."""
     names = set()
@@ -40,7 +43,7 @@ def is_module(name: str) -> bool:
     try:
         import_module(name)
     except ModuleNotFoundError as missing:
-        if (missing.name or "").partition(".")[0] != "chromaperture":
+        if (missing.name or "").partition(".")[0] not in OURS:
             raise
         return False
     return True
@@ -49,7 +52,7 @@ def is_module(name: str) -> bool:
 def is_there(module: str, name: str | None, folder: Path) -> bool:
     """Whether a script in a folder can import a module, or a name from it."""
     top = module.partition(".")[0]
-    if top == "chromaperture":
+    if top in OURS:
         if not is_module(module):
             return False
         return name is None or hasattr(import_module(module), name) or is_module(f"{module}.{name}")

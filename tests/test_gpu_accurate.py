@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
+from chromaperture.camera import memory as camera_memory
 from chromaperture.camera.camera import CodedApertureCamera
-from chromaperture.camera.camera import memory as camera_memory
 from chromaperture.matching.device.accurate_chain import AccurateOnDevice
 from chromaperture.matching.device.device import DeviceError
 from chromaperture.matching.device.gpu_method import DeviceMethod

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from chromaperture.camera import memory as camera_memory
 from chromaperture.camera.camera import CodedApertureCamera
-from chromaperture.camera.camera import memory as camera_memory
 from chromaperture.camera.memory import fitting_jobs, needed_bytes
 from chromaperture.camera.method import default_config
 from chromaperture.capture.files import read_image

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import chromaperture as cap
+from chromaperture.camera import memory as camera_memory
 from chromaperture.camera.camera import CodedApertureCamera
-from chromaperture.camera.camera import memory as camera_memory
 from chromaperture.camera.memory import check_camera_memory, needed_bytes, volume_bytes
 from chromaperture.camera.method import default_config
 from chromaperture.capture.files import read_image

@@ -258,10 +258,10 @@ def test_a_package_outside_the_base_install_is_found(source, found):
 @pytest.mark.parametrize(
     ("source", "found"),
     [
-        ("from chromaperture.matching import cpu", "chromaperture.matching.compiled"),
+        ("from chromaperture.matching import compiled", "chromaperture.matching.compiled"),
         ("def f():\n    from chromaperture.matching.compiled import correlate", "chromaperture.matching.compiled"),
         ("import chromaperture.matching.readable", "chromaperture.matching.readable"),
-        ("from . import stages", "chromaperture.matching.readable"),
+        ("from . import readable", "chromaperture.matching.readable"),
         ("from chromaperture.matching.readable.tiles import Nodes", "chromaperture.matching.readable.tiles"),
     ],
 )

@@ -27,8 +27,10 @@ Update = Callable[[str, int, int], None]  # what is being done, how many are don
 WHAT = "compiling kernels, once for this machine"
 _LIST = Path(__file__).parent / "kernels.json"
 # The program of a helper process. Its modules are this process's, not those of the folder it runs in (-P).
-_HELPER = "import sys; sys.path.insert(0, {!r})\n"
+_HELPER = (
+    "import sys; sys.path.insert(0, {!r}); "
     "from chromaperture.system.compile_ahead import help_compiling; help_compiling()"
+)
 
 
 @dataclass(frozen=True)
