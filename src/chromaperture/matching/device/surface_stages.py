@@ -1,7 +1,7 @@
 """Stages of quality "accurate" from a volume of log-likelihoods to a surface, appended to a chain.
 
 Paths, the place between the layers and the posterior: the files of ``readable/`` explain each. `block_surface.py` has
-the sums of blocks. Disparities count in layers here. Volumes are (h, w, count), the layers of a pixel next to each other.
+the sums of blocks. Disparities count in layers here. Volumes are (h, w, count), layers of a pixel adjacent.
 """
 
 from __future__ import annotations
