@@ -1,6 +1,7 @@
-"""Every default of the method: one frozen dataclass a method, composed of its stages' (`settings/stages.py`).
+"""Every default of the method: one frozen dataclass a method, composed of its stages' (`stages.py`).
 
-A stage receives only its own section. Every value can be set from Python and from TOML (`settings/toml_file.py`).
+A stage receives only its own section. Every value can be set from Python and from TOML (`toml_file.py`).
+docs/decisions.md has the alternatives that were measured.
 """
 
 from __future__ import annotations
@@ -8,9 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Literal, TypeVar, get_args
+from typing import Annotated, Literal, TypeVar, get_args
 
 import numpy as np
+from pydantic import Field
 
 from chromaperture.settings.stages import (
     LEAST_REACH_OF_PAIRS,
@@ -22,31 +24,25 @@ from chromaperture.settings.stages import (
     LayersConfig,
     PlanesConfig,
     PlateConfig,
+    Settings,
     SpectralConfig,
     SurfaceConfig,
     ViewsConfig,
-    all_finite,
     require,
-    require_space,
 )
 from chromaperture.system.errors import InputError
+from chromaperture.system.validation import NotNegative, Positive
 
 _HALVES_APART = 2.0  # px by which two halves move apart a px of half disparity
 # Px by which views move apart a px of disparity. Three views below the first have their layers farther apart, by the
-# second over what they move: 0.8 px instead of 0.5 for CMY circles, which move 0.75 px (docs/measurements.md, *Layers
-# of three circles*). CMY squares (1 px) keep theirs: otherwise they would take .97 and 1.10 of the time of OpenCV's
-# SGBM 3WAY on one and two threads, instead of .74 and .88 (benchmarks/matcher.py).
+# second over what they move: 0.8 px instead of 0.5 for CMY circles, which move 0.75 px.
 _CLOSE_VIEWS, _LAYERS_APART = 0.9, 1.2
 Quality = Literal["paper", "real-time", "accurate"]
 QUALITIES: tuple[Quality, ...] = get_args(Quality)
 ExecutionName = Literal["numba", "numpy"]
-# Of quality accurate over a camera's working range. A dual-pixel camera's 2.3 px (benchmarks/dual_pixel.py) in layers
-# of 0.25, 0.125 and 0.06 px: ratio below 1.25 of casual scenes .66, .70, .73.
-LEAST_LAYERS = 32
-# Of the power in a window, see `CrossFilterConfig`. docs/measurements.md (*Detail from elsewhere*) has 1, 1.5, 2 and 4,
-# and why only views that lie close together have it.
-ALLOWED_GROWTH = 2.0
-# See `PlanesConfig.known_from_nats`, where blur and noise are known: frames of noise alone reach .00012.
+LEAST_LAYERS = 32  # of quality accurate over a camera's working range
+ALLOWED_GROWTH = 2.0  # of the power in a window, see `CrossFilterConfig`, where views lie close together
+# See `PlanesConfig.known_from_nats`, where blur and noise are known: frames of noise alone reach 0.00012.
 KNOWN_FROM_NATS_OF_BLUR = 3e-4
 BORDER_NATS_OF_BLUR = 5.0  # see `PlanesConfig.border_nats`, where blur tells more than parallax
 # Shifted views have sharper evidence, in windows that overlap less.
@@ -55,7 +51,7 @@ Method = TypeVar("Method", bound="MatcherConfig")
 
 
 @dataclass(frozen=True)
-class MatcherConfig:
+class MatcherConfig(Settings):
     """What the settings of every method have in common."""
 
     layers: LayersConfig = LayersConfig()
@@ -78,43 +74,28 @@ class MatcherConfig:
 
 @dataclass(frozen=True)
 class PaperConfig(MatcherConfig):
-    """Quality "paper": the published method, section 3.1.
+    """Quality "paper": the published method, section 3.1; the error bar is fitted to captures of known depth."""
 
-    Attributes
-    ----------
-    space : {"unmixed", "pure"}
-        Match the views in the aperture's colour space, Eq. (1), as the paper does; or the sensor channels that see one
-        filter each, where the design has them: less noise, and no error where colours are saturated.
-    sigma_scale : float
-        Widens the error bar of ideal, Gaussian pictures (1.0) to that of real ones, where blurred views are mirrored,
-        not shifted. This and the next two are fitted to captures of known depth.
-    edge_share : float
-        Of the range of the disparity within `disparity.paper.EDGE_REACH_PX`, where windows span two depths; added in
-        quadrature.
-    floor_px : float
-        Least standard deviation of the views' displacement, px.
-    hue_share : float
-        Of the error bar of the search range, where views mixed of several channels have nothing in common at the
-        disparity that was found; see `disparity.unlike_views`. docs/measurements.md, *Hues in unmixed views*, has 0
-        to 1.
-    """
-
+    #: Match the views in the aperture's colour space, Eq. (1), as the paper does; or the sensor channels that see one
+    #: filter each, where the design has them: less noise, and no error where colours are saturated.
     space: Literal["unmixed", "pure"] = "unmixed"
     correlation: CorrelationConfig = CorrelationConfig()
     bilateral: BilateralConfig = BilateralConfig()
-    sigma_scale: float = 2.0
-    edge_share: float = 0.5
-    floor_px: float = 0.1
-    hue_share: float = 0.7
+    #: Widens the error bar of ideal, Gaussian pictures (1.0) to that of real ones, where blurred views are mirrored,
+    #: not shifted.
+    sigma_scale: Positive = 2.0
+    #: Of the range of the disparity within `matching.paper.EDGE_REACH_PX`, where windows span two depths; added in
+    #: quadrature.
+    edge_share: NotNegative = 0.5
+    #: Least standard deviation of the views' displacement, px.
+    floor_px: NotNegative = 0.1
+    #: Of the error bar of the search range, where views mixed of several channels have nothing in common at the
+    #: disparity that was found; see `matching.unlike_views`.
+    hue_share: NotNegative = 0.7
 
     def __post_init__(self) -> None:
-        require_space(self.space, "unmixed", "pure")
+        super().__post_init__()
         require(self.correlation.cell_px == 1, "cell_px does not apply to quality paper")
-        for name in ("edge_share", "floor_px", "hue_share"):
-            value = getattr(self, name)
-            require(all_finite(value) and value >= 0, f"{name} must be finite and >= 0, is {value:g}")
-        positive = all_finite(self.sigma_scale) and self.sigma_scale > 0
-        require(positive, f"sigma_scale must be positive, is {self.sigma_scale:g}")
 
 
 @dataclass(frozen=True)
@@ -122,40 +103,25 @@ class RealTimeConfig(MatcherConfig):
     """Quality "real-time": matching at half the resolution, semi-global along rows and columns.
 
     Blur is several px wide and windows are wider, so the volume need not exist at every pixel; a guided interpolation
-    brings the surface back to full resolution. ``presmooth_sigma_px`` and ``smoothing_sigma_px``
-    count px of the halved picture; disparities do not. Chosen on simulated captures; ``benchmarks/ablation.py``
-    measures each. Views are read by B-splines: with the smoothed cubic of other methods flat boards lock half as much
-    to the layers, but no more is found (docs/measurements.md, *Flat boards and the layers*). ``presmooth_sigma_px`` is
-    that of views that lie 2 px a px of disparity apart, as two halves do; see `for_views`.
-
-    Attributes
-    ----------
-    space : {"unmixed", "pure", "channels"}
-        As `PaperConfig.space`; "channels" are sensor channels for every design, see `disparity.views.channel_space`.
-    smoothing_sigma_px : float
-        Reach over which places between the layers are averaged on an even guide; 0 switches the average off. Curved
-        things are not even over 50 px, and their error bars were too short; docs/decisions.md compares.
-    smoothing_edge_range : float
-        Difference of the guide, in units of ``guide_range``, at which a link of that average has fallen to 1/e.
-    floor_px : float
-        Least standard deviation of the views' displacement, px: of whole surfaces, whatever their texture, because
-        halves of a pupil blur as mirror images. Fitted with `disparity.stages.place.SCATTER`.
+    brings the surface back to full resolution. ``presmooth_sigma_px``, which is that of views that lie 2 px a px of
+    disparity apart (`for_views`), and ``smoothing_sigma_px`` count px of the halved picture; disparities do not.
     """
 
     views: ViewsConfig = ViewsConfig(presmooth_sigma_px=0.4, guide_range=0.15)
+    #: As `PaperConfig.space`; "channels" are sensor channels for every design, see `matching.views.channel_space`.
     space: Literal["unmixed", "pure", "channels"] = "channels"
     correlation: CorrelationConfig = CorrelationConfig(window_decay=0.30, sampling="b-spline", cell_px=2)
     paths: FourPathsConfig = FourPathsConfig()
-    smoothing_sigma_px: float = 40.0
-    smoothing_edge_range: float = 3.3
-    floor_px: float = 0.05
+    #: Reach over which places between the layers are averaged on an even guide; 0 switches the average off.
+    smoothing_sigma_px: NotNegative = 40.0
+    #: Difference of the guide, in units of ``guide_range``, at which a link of that average has fallen to 1/e.
+    smoothing_edge_range: Positive = 3.3
+    #: Least standard deviation of the views' displacement, px: of whole surfaces, whatever their texture, because
+    #: halves of a pupil blur as mirror images. Fitted with `matching.readable.place.SCATTER`.
+    floor_px: NotNegative = 0.05
 
     def __post_init__(self) -> None:
-        require_space(self.space, "unmixed", "pure", "channels")
-        for name, value in (("smoothing_sigma_px", self.smoothing_sigma_px), ("floor_px", self.floor_px)):
-            require(all_finite(value) and value >= 0, f"{name} must be finite and >= 0, is {value:g}")
-        positive = all_finite(self.smoothing_edge_range) and self.smoothing_edge_range > 0
-        require(positive, f"smoothing_edge_range must be positive, is {self.smoothing_edge_range:g}")
+        super().__post_init__()
         require(not self.correlation.noise_debiasing, "noise_debiasing does not apply to quality real-time")
 
     @property
@@ -164,18 +130,11 @@ class RealTimeConfig(MatcherConfig):
         return ("real-time",)
 
     def for_views(self, directions: np.ndarray) -> RealTimeConfig:
-        """Return the settings for views that lie close together.
+        """Return the settings for views that move by ``directions`` (K, 2) px a px of disparity.
 
-        They are smoothed more, since their noise counts more: by the root of how much closer they lie than two halves
-        do, by its fourth root where there are three. Of 44 ray-traced scenes CMY circles (0.75 px a px) find
-        .459 / .716, .466 / .723, .469 / .727, .467 / .731, .462 / .728, .441 / .705 within 2 / 5 % with 0.3, 0.4, 0.45,
-        0.5, 0.65, 0.9 px; of twelve halves .70 / .88, .70 / .89, .67 / .87, .66 / .86 with 0.3, 0.4, 0.6, 0.8 px.
-        Layers of three such views are farther apart, with a label between two of them.
-
-        Parameters
-        ----------
-        directions : (K, 2) float
-            Displacement (x, y) of each view per px of disparity.
+        Close views are smoothed more, since their noise counts more: by the root of how much closer they lie than two
+        halves do, by its fourth root where there are three. Layers of three such views are farther apart, with a label
+        between two of them.
         """
         apart = max(float(np.linalg.norm(a - b)) for a, b in combinations(np.asarray(directions), 2))
         closer = max(1.0, _HALVES_APART / apart) ** (0.5 if len(directions) == 2 else 0.25)
@@ -188,26 +147,17 @@ class RealTimeConfig(MatcherConfig):
 
 @dataclass(frozen=True)
 class AccurateConfig(MatcherConfig):
-    """Quality "accurate": one surface optimised through the whole volume.
-
-    Attributes
-    ----------
-    evidence : CrossFilterConfig or CorrelationEvidenceConfig
-        With the camera's blur where the camera file has one, else with shifted views.
-    surface : SurfaceConfig
-    planes : PlanesConfig
-        Of regions between depth edges: where the surface of weak evidence is looked for.
-    plate : PlateConfig
-        The surface, which starts from those planes and follows the evidence.
-    spectral : SpectralConfig
-        Evidence of all channels together, beside that of pairs, where the camera's blur and noise are known.
-    """
+    """Quality "accurate": one surface optimised through the whole volume."""
 
     layers: LayersConfig = LayersConfig(step_px=0.25)
+    #: With the camera's blur where the camera file has one, else with shifted views.
     evidence: CrossFilterConfig | CorrelationEvidenceConfig = CorrelationEvidenceConfig()
     surface: SurfaceConfig = SurfaceConfig()
+    #: Of regions between depth edges: where the surface of weak evidence is looked for.
     planes: PlanesConfig = PlanesConfig()
+    #: The surface, which starts from those planes and follows the evidence.
     plate: PlateConfig = PLATE_OF_VIEWS
+    #: Evidence of all channels together, beside that of pairs, where the camera's blur and noise are known.
     spectral: SpectralConfig = SpectralConfig()
 
     @property
@@ -222,12 +172,9 @@ class AccurateConfig(MatcherConfig):
 
     @classmethod
     def for_range(cls, min_px: float, max_px: float) -> AccurateConfig:
-        """Return the settings for a camera whose blur is not known, finer where its parallax is small.
+        """Return the settings for a camera whose blur is not known, over its working range, px.
 
-        Parameters
-        ----------
-        min_px, max_px : float
-            Disparities of the working range: at least `LEAST_LAYERS` layers, and slopes that cost as much a layer.
+        There are at least `LEAST_LAYERS` layers, and slopes cost as much a layer.
         """
         plain = cls()
         step = min(plain.layers.step_px, (max_px - min_px) / LEAST_LAYERS)
@@ -241,16 +188,10 @@ class AccurateConfig(MatcherConfig):
     ) -> AccurateConfig:
         """Return the settings for a camera whose blur is known.
 
-        Parameters
-        ----------
-        reach : float
-            Px of half disparity for a px by which blur displaces the pupil's edge. Layers (0.3 px of blur) and slopes
-            count in blur, so that designs whose views lie close together are searched as finely.
-        one_pair : bool
-            Whether the widest separation is that of one pair of channels, as of two halves. Where such views lie apart,
-            evidence counts as far as it is a pixel's own; docs/measurements.md, "Weak texture of all pairs".
-        full_well_electrons : float, optional
-            Of the sensor, see `CrossFilterConfig.for_blur`.
+        ``reach`` is px of half disparity for a px by which blur displaces the pupil's edge: layers (0.3 px of blur) and
+        slopes count in blur, so that designs whose views lie close together are searched as finely. ``one_pair``: the
+        widest separation is that of one pair of channels, as of two halves; where such views lie apart, evidence counts
+        as far as it is a pixel's own. ``full_well_electrons``: of the sensor, see `CrossFilterConfig.for_blur`.
         """
         surface = SurfaceConfig(slope_penalty=25.0 / reach, edge_range=1.0, temperature=0.3, learned_error_bar="blur")
         layers = LayersConfig(step_px=0.3 * reach)
@@ -287,45 +228,26 @@ class AccurateConfig(MatcherConfig):
 
 
 @dataclass(frozen=True)
-class DepthConfig:
-    """Disparity to depth (paper sections 3.2 to 3.4).
+class DepthConfig(Settings):
+    """Disparity to depth (paper sections 3.2 to 3.4)."""
 
-    Attributes
-    ----------
-    max_depth_mm : float
-        Depths beyond are reported as unknown: next to the disparity at infinity the error bar exceeds the depth.
-    """
-
+    #: Depths beyond are reported as unknown: next to the disparity at infinity the error bar exceeds the depth.
     max_depth_mm: float = 50_000.0
 
 
 @dataclass(frozen=True)
-class Config:
-    """All stages together, as ``CodedApertureCamera`` takes it and ``STEM.json`` records it.
+class Config(Settings):
+    """All stages together, as ``CodedApertureCamera`` takes it and ``STEM.json`` records it."""
 
-    Attributes
-    ----------
-    quality : {"paper", "real-time", "accurate"}
-        Whose depth curve in the camera file belongs to the matcher's settings.
-    matcher : MatcherConfig
-        Counts px of the picture that is matched, whose sides are 1 / ``scale`` of the photograph's.
-    depth : DepthConfig
-    scale : float
-        Working scale, see `chromaperture.model.scale.working_scale`.
-    crop_origin_px : (int, int), optional
-        Photographs show a part of the sensor: column and row of its first pixel. None: they show the whole frame.
-    """
-
+    #: Whose depth curve in the camera file belongs to the matcher's settings.
     quality: Quality = "real-time"
+    #: Counts px of the picture that is matched, whose sides are 1 / ``scale`` of the photograph's.
     matcher: MatcherConfig = RealTimeConfig()
     depth: DepthConfig = DepthConfig()
-    scale: float = 1
-    crop_origin_px: tuple[int, int] | None = None
-
-    def __post_init__(self) -> None:
-        require(self.scale >= 1, f"a working scale is 1, 1/2, 1/3 ...; got 1/{self.scale:g}")
-        origin = self.crop_origin_px
-        require(origin is None or min(origin) >= 0, f"a part of the frame begins at a pixel of it, not at {origin}")
+    #: Working scale, see `chromaperture.model.scale.working_scale`.
+    scale: Annotated[float, Field(ge=1)] = 1
+    #: Photographs show a part of the sensor: column and row of its first pixel. None: they show the whole frame.
+    crop_origin_px: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] | None = None
 
 
 def preset(quality: Quality) -> MatcherConfig:
