@@ -40,7 +40,8 @@ class Settings:
     """A section of settings: every value is checked against its field's type."""
 
     def __post_init__(self) -> None:
-        for name, kind in _types_of(self.__class__).items():
+        own: Any = type(self)
+        for name, kind in _types_of(own).items():
             value = getattr(self, name)
             if not dataclasses.is_dataclass(value):
                 checked_value(kind, value, where=f"{name} ")
