@@ -1,4 +1,4 @@
-"""Make ``src/chromaperture/system/kernels.json``: the kernels of each quality, their arguments and the time to compile them.
+"""Make ``system/kernels.json``: the kernels of each quality, their arguments and the time to compile them.
 
 ``python benchmarks/kernel_list.py`` after a kernel or its arguments changed; a test says when. Everything is compiled
 anew, in a folder of its own. The times only order the kernels: those that take longest are compiled first.

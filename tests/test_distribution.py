@@ -14,7 +14,7 @@ import chromaperture
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 # Names that conda-forge gives to the same thing.
-CONDA = {"opencv-python-headless": "opencv", "matplotlib": "matplotlib-base", "isal": "python-isal"}
+CONDA = {"opencv-python-headless": "opencv", "matplotlib": "matplotlib-base"}
 
 
 def requirements(lines: list[str]) -> dict[str, str]:

@@ -14,7 +14,7 @@ from PIL import Image
 from chromaperture import read_image
 from chromaperture.capture.files import decode, linearise, read_light
 from chromaperture.color.encoding import Encoding
-from chromaperture.files.png import encode_png
+from chromaperture.files.pictures import encode_png
 from chromaperture.system.errors import InputError
 from chromaperture.system.rows_on_demand import RowsOnDemand
 
@@ -62,14 +62,6 @@ def test_rows_that_are_made_on_demand_are_encoded_as_their_picture(rng):
     rows = RowsOnDemand(picture.shape, picture.dtype, lambda part: picture[part].copy())
     assert len(rows) == 700
     assert encode_png(rows) == encode_png(picture)
-
-
-def test_without_isal_zlib_does_the_same(monkeypatch, rng):
-    monkeypatch.setattr("chromaperture.system.deflate.isal_zlib", None)
-    monkeypatch.setattr("chromaperture.system.deflate.library", zlib)
-    picture = rng.integers(0, 256, (300, 2000, 3)).astype(np.uint8)
-    coded = encode_png(picture)
-    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(coded))), picture)
 
 
 def png_of(rows: bytes, width: int, height: int) -> bytes:

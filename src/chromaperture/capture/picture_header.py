@@ -6,6 +6,7 @@ import io
 import logging
 import struct
 import warnings
+from zlib import crc32
 
 from PIL import (
     AvifImagePlugin,
@@ -18,7 +19,6 @@ from PIL import (
     WebPImagePlugin,
 )
 
-from chromaperture.system.deflate import crc32
 from chromaperture.system.errors import InputError
 from chromaperture.system.validation import MOST_PIXELS
 

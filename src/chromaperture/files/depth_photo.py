@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image
 
 from chromaperture.files.jpeg_xmp import with_xmp
-from chromaperture.files.png import encode_png
+from chromaperture.files.pictures import encode_png
 from chromaperture.system.errors import InputError
 
 Form = Literal["inverse", "linear"]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import tifffile
 
 from chromaperture.color.srgb import linear_to_srgb_bytes
-from chromaperture.files.png import encode_png
 from chromaperture.system.rows_on_demand import Rows, RowsOnDemand
 
 
@@ -59,3 +59,9 @@ def write_color_png(path: str | Path, color: np.ndarray) -> None:
 def write_png(path: str | Path, picture: Rows) -> None:
     """Write a grey (H, W) or RGB (H, W, 3) picture of uint8 or uint16 as PNG."""
     Path(path).write_bytes(encode_png(picture))  # unlike `cv2.imwrite`, raises when the disk is full
+
+
+def encode_png(picture: Rows) -> bytes:
+    """Return the content of a PNG file of a grey (H, W) or RGB (H, W, 3) picture of uint8 or uint16."""
+    whole = np.asarray(picture[:])
+    return bytes(cv2.imencode(".png", whole if whole.ndim == 2 else np.ascontiguousarray(whole[..., ::-1]))[1])
