@@ -109,18 +109,10 @@ def measured(
 def score(depth: np.ndarray, sigma: np.ndarray, truth: np.ndarray, *, truth_step_mm: float = 0.0) -> dict[str, float]:
     """Compute the published scores and ours.
 
-    Parameters
-    ----------
-    depth, sigma : (H, W) float, mm, NaN unknown
-    truth : (H, W) float, mm, 0 unknown
-    truth_step_mm : float
-        By which the truth was rounded: an error of its own beside sigma.
-
-    Returns
-    -------
-    dict
-        Shares of ALL pixels with known truth; the means ``abs_rel`` and the shares of sigma, of those answered.
-        ``abs_rel_of_plausible`` leaves out truth below `LEAST_TRUTH_MM`.
+    ``depth``, ``sigma`` (H, W) float, mm, NaN unknown; ``truth`` (H, W) float, mm, 0 unknown; ``truth_step_mm``: by
+    which the truth was rounded: an error of its own beside sigma. Returns shares of ALL pixels with known truth; the
+    means ``abs_rel`` and the shares of sigma, of those answered. ``abs_rel_of_plausible`` leaves out truth below
+    `LEAST_TRUTH_MM`.
     """
     known = truth > 0
     answered = known & np.isfinite(depth)

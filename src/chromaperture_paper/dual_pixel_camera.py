@@ -79,10 +79,7 @@ class Corrections:
 def capture(folder: Path, name: str, *, linear: Curve = srgb_to_linear) -> np.ndarray:
     """Photograph of a cyan/yellow pupil, linear if the files follow the curve; (H, W, 3) float32.
 
-    Raises
-    ------
-    InputError
-        A file is missing or damaged.
+    Raises InputError: a file is missing or damaged.
     """
     sides = []
     for side in ("left", "right"):
@@ -101,10 +98,7 @@ def lens_of_json(path: Path) -> Prescription:
 
     All light is that of the green pixels.
 
-    Raises
-    ------
-    InputError
-        The file is missing or malformed.
+    Raises InputError: the file is missing or malformed.
     """
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
@@ -143,13 +137,7 @@ def uncalibrated(shape: tuple[int, ...], film: Mapping[str, Sequence[float]] = _
 def calibrated_by_boards(boards: Mapping[float, np.ndarray], quality: Quality, *, degree: int = 2) -> Calibration:
     """Calibrate a quality by two flat boards alone: d = A(x, y) - B(x, y) / z, polynomials over the frame.
 
-    Parameters
-    ----------
-    boards : mapping of float to (H, W, 3) float32
-        Photographs by distance, mm.
-    quality : str
-    degree : int
-        Of the polynomials.
+    ``boards`` mapping of float to (H, W, 3) float32: photographs by distance, mm; ``degree``: of the polynomials.
     """
     shape = next(iter(boards.values())).shape
     camera = uncalibrated(shape)
@@ -165,14 +153,8 @@ def calibrated_by_prescription(
 ) -> tuple[Calibration, Corrections]:
     """Calibrate quality "accurate" by the lens's prescription, and the sensor's crosstalk by two flat boards.
 
-    Parameters
-    ----------
-    lens : Prescription
-        At any focus; the sensor is moved to `FOCUS_MM`.
-    boards : mapping of float to (H, W, 3) float32
-        Photographs by distance, mm.
-    corrected : bool
-        Take focus and scale from the boards too.
+    ``lens``: at any focus; the sensor is moved to `FOCUS_MM`; ``boards`` mapping of float to (H, W, 3) float32:
+    photographs by distance, mm; ``corrected``: take focus and scale from the boards too.
     """
     height, width = next(iter(boards.values())).shape[:2]
     optics = focused_at(lens, FOCUS_MM)

@@ -36,12 +36,7 @@ _LAPLACIAN = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6  # 
 def noise_scale(image: np.ndarray, calibration: Calibration) -> float:
     """Measure how many times a photograph's noise variance is that of its camera, at least 1.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear
-        Of `dual_pixel_camera.capture`.
-    calibration : Calibration
-        With the sensor's noise.
+    ``image`` (H, W, 3) float32, linear: of `dual_pixel_camera.capture`; ``calibration``: with the sensor's noise.
     """
     variance = sensor_noise(image, calibration)
     if variance is None:

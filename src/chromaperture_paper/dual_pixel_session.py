@@ -51,17 +51,8 @@ def write_lens_session(
 ) -> None:
     """Photograph a calibration session through a lens of known prescription and half pixels, ray by ray.
 
-    Parameters
-    ----------
-    folder : Path
-    lens : Prescription
-        At any focus.
-    halves : HalfPixels
-    focus_mm : float
-        From the sensor, to which the lens is focused.
-    size : dict
-        ``width_px``, ``height_px``, ``pixel_pitch_mm``.
-    progress : callable, optional
+    ``lens``: at any focus; ``focus_mm``: from the sensor, to which the lens is focused; ``size``: ``width_px``,
+    ``height_px``, ``pixel_pitch_mm``.
     """
     optics = focused_at(lens, focus_mm)
     camera = pupil_camera(optics, **size)
@@ -95,18 +86,8 @@ def calibrated_by_session(
 
     The fit of the blur starts from a thin lens at the focus of the design, with the sensor's fall of contrast.
 
-    Parameters
-    ----------
-    folder : Path
-    lens : Prescription
-    halves : HalfPixels
-    draft : Calibration
-        Its sensor, with the photographs' noise, and its working range are kept.
-    focus_mm : float
-        From the sensor.
-    progress : callable, optional
-    keep_in : Path, optional
-        Of what is measured on every photograph, for a run that is interrupted.
+    ``draft``: its sensor, with the photographs' noise, and its working range are kept; ``focus_mm``: from the sensor;
+    ``keep_in``: of what is measured on every photograph, for a run that is interrupted.
     """
     sensor = draft.sensor
     size: dict[str, Any] = {

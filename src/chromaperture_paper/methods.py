@@ -230,15 +230,9 @@ def relative_bound(design: str, light: str, camera: PupilCamera, distances_mm: n
 def scores(depth_mm: np.ndarray, truth_mm: np.ndarray) -> dict[str, float]:
     """Compute the errors of a depth map.
 
-    Parameters
-    ----------
-    depth_mm, truth_mm : (H, W) float, NaN unknown
-
-    Returns
-    -------
-    dict
-        Fractions of ALL pixels with known truth: fill, within_2, within_5, within_10 per cent. Where there is a depth:
-        median_error of |error| / truth; bias, the median of error / truth, and scatter, its robust standard deviation.
+    ``depth_mm``, ``truth_mm`` (H, W) float, NaN unknown. Returns fractions of ALL pixels with known truth: fill,
+    within_2, within_5, within_10 per cent. Where there is a depth: median_error of |error| / truth; bias, the median of
+    error / truth, and scatter, its robust standard deviation.
     """
     known = np.isfinite(truth_mm)
     signed = (depth_mm - truth_mm)[known] / truth_mm[known]

@@ -23,13 +23,8 @@ def measured(
 ) -> tuple[world.Capture, np.ndarray, float]:
     """Photograph a scene with two cameras, exposed to the same level as the others, and match them.
 
-    Returns
-    -------
-    capture : Capture
-        The left picture and its truth.
-    depth_mm : (H, W) float64, NaN unknown
-    seconds : float
-        Of the matching.
+    Returns ``capture`` the left picture and its truth; ``depth_mm`` (H, W) float64, NaN unknown; ``seconds`` of the
+    matching.
     """
     stopped = replace(camera, pupil_radius_mm=camera.pupil_radius_mm / STOPPED)
     table = pinhole_rays(stopped, world.real_film("open"), cells=cells)

@@ -36,21 +36,10 @@ def sweep(
 ) -> list[Result]:
     """Run trials in parallel.
 
-    Parameters
-    ----------
-    workers : int
-        Processes on this machine, at least 1.
-    keep_in : Path
-        Folder of the finished trials, from which an interrupted run continues.
-    cluster : str, optional
-        Address of a Dask scheduler, whose workers run the trials instead; see `run_tasks`.
-    progress : callable, optional
-        Called with how many are done, and of how many.
-
-    Raises
-    ------
-    InputError
-        Workers died repeatedly, or the cluster cannot be reached.
+    ``workers``: processes on this machine, at least 1; ``keep_in``: folder of the finished trials, from which an
+    interrupted run continues; ``cluster``: address of a Dask scheduler, whose workers run the trials instead; see
+    `run_tasks`; ``progress``: called with how many are done, and of how many. Raises InputError: workers died
+    repeatedly, or the cluster cannot be reached.
     """
     results = {trial.key: _kept(keep_in, trial) for trial in trials}
     missing = list({t.key: t for t in trials if results[t.key] is None}.values())

@@ -34,13 +34,7 @@ _MOST_BEYOND, _AROUND_PX, _LATERAL_PX = 2.0, 12, 4
 
 
 class ChannelAlignment:
-    """How far a camera's channels are displaced at a disparity that it measured.
-
-    Parameters
-    ----------
-    calibration : Calibration
-    config : Config
-    """
+    """How far a camera's channels are displaced at a disparity that it measured."""
 
     def __init__(self, calibration: Calibration, config: Config) -> None:
         self.calibration, self.config = calibration, config
@@ -55,14 +49,8 @@ class ChannelAlignment:
     def align(self, image: np.ndarray, disparity_px: np.ndarray) -> np.ndarray:
         """Align the channels and white balance them.
 
-        Parameters
-        ----------
-        image : (H, W, 3) float32, linear RGB
-        disparity_px : (H, W) float32, px; NaN unknown
-
-        Returns
-        -------
-        (H, W, 3) float32, linear RGB
+        ``image`` (H, W, 3) float32, linear RGB; ``disparity_px`` (H, W) float32, px; NaN unknown. Returns (H, W, 3)
+        float32, linear RGB.
         """
         color = np.empty(image.shape, np.float32)
         self.align_bands(image, disparity_px, color.__setitem__)
@@ -125,14 +113,8 @@ class ChannelAlignment:
     def blur_radius_px(self, disparity_px: np.ndarray) -> np.ndarray | None:
         """Return the blur radius on the axis at the distance of every pixel, see `LensShift`.
 
-        Parameters
-        ----------
-        disparity_px : (H, W) float, px
-            As this camera measures it.
-
-        Returns
-        -------
-        (H, W) float32, px; None where the blur is not known
+        ``disparity_px`` (H, W) float, px: as this camera measures it. Returns (H, W) float32, px; None where the blur
+        is not known.
         """
         if self.lens_shift is None or self.depth_model is None:
             return None
@@ -149,11 +131,8 @@ class ChannelAlignment:
     ) -> np.ndarray | None:
         """Return the displacement of the channels where the method uses the lens's blur, (3, 2, H, W) px; else None.
 
-        Parameters
-        ----------
-        disparity_px : (H, W) float, px, no NaN
-        first_row, height : int
-            Where it is a band of a frame of so many rows, the number of its first row.
+        ``disparity_px`` (H, W) float, px, no NaN; ``first_row``, ``height``: where it is a band of a frame of so many
+        rows, the number of its first row.
         """
         shift = self._working_shift if self.uses_blur else None
         if shift is None:

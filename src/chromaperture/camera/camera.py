@@ -39,28 +39,16 @@ StageTimer = Callable[[str], AbstractContextManager[None]]
 
 
 class Begun(NamedTuple):
-    """A photograph that a camera has begun to measure: see `CodedApertureCamera.begin`.
+    """A photograph that a camera has begun to measure: see `CodedApertureCamera.begin`."""
 
-    Attributes
-    ----------
-    camera : CodedApertureCamera
-        That measures it.
-    known, image : (H, W, 3) float32
-        The whole frame. Outside of what the photograph shows, ``known`` is NaN, and ``image`` repeats its border.
-    size_px : (int, int)
-        Width and height of the photograph.
-    waiting : Waiting or None
-        What a device has begun.
-    on_disk : bool
-        Whether its volumes do not fit into memory.
-    """
-
-    camera: CodedApertureCamera
+    camera: CodedApertureCamera  # that measures it
+    # ``known``, ``image``: (H, W, 3) float32: the whole frame. Outside of what the photograph shows, ``known`` is NaN,
+    # and ``image`` repeats its border.
     known: np.ndarray
     image: np.ndarray
-    size_px: tuple[int, int]
-    waiting: Waiting | None = None
-    on_disk: bool = False
+    size_px: tuple[int, int]  # (int, int): width and height of the photograph
+    waiting: Waiting | None = None  # what a device has begun
+    on_disk: bool = False  # whether its volumes do not fit into memory
 
 
 class CodedApertureCamera:

@@ -23,25 +23,10 @@ def in_whole_frame(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Put a part of a photograph where it belongs.
 
-    Parameters
-    ----------
-    image : (h, w, 3) float32
-    origin_px : (int, int)
-        Column and row of the part's first pixel in the frame.
-    size_px : (int, int)
-        Width and height of the frame.
-
-    Returns
-    -------
-    known : (H, W, 3) float32
-        NaN outside of the part.
-    continued : (H, W, 3) float32
-        The part's border goes on outside of it.
-
-    Raises
-    ------
-    InputError
-        The part does not lie in the frame.
+    ``image`` (h, w, 3) float32; ``origin_px`` (int, int): column and row of the part's first pixel in the frame;
+    ``size_px`` (int, int): width and height of the frame. Returns ``known`` (H, W, 3) float32: NaN outside of the part;
+    ``continued`` (H, W, 3) float32: the part's border goes on outside of it. Raises InputError: the part does not lie
+    in the frame.
     """
     (height, width), (left, top) = image.shape[:2], origin_px
     right, below = size_px[0] - left - width, size_px[1] - top - height

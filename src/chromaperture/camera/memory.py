@@ -22,13 +22,8 @@ _SMALL_BYTES = 1e9  # the system is not asked: for every frame of a video that i
 def needed_bytes(calibration: Calibration, config: Config, *, scale: float | None = None) -> float:
     """Estimate the most memory that measuring a photograph and writing its files takes.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        Of the photograph's size.
-    config : Config
-    scale : float, optional
-        Instead of the configuration's: at a coarser one the range holds fewer layers.
+    ``calibration``: of the photograph's size; ``scale``: instead of the configuration's: at a coarser one the range
+    holds fewer layers.
     """
     pixels = calibration.sensor.width_px * calibration.sensor.height_px
     matched, entries = _matched(calibration, config, scale or config.scale)
@@ -58,23 +53,9 @@ def fitting_jobs(calibration: Calibration, config: Config, jobs: int) -> int:
 def check_camera_memory(what: str, calibration: Calibration, config: Config) -> bool:
     """Check that there is memory for a photograph, at least where its volumes are kept on disk.
 
-    Parameters
-    ----------
-    what : str
-        The photograph, for messages.
-    calibration : Calibration
-        Of the photograph's size.
-    config : Config
-
-    Returns
-    -------
-    bool
-        Whether the volumes are to be kept on disk (`chromaperture.system.scratch`).
-
-    Raises
-    ------
-    OutOfMemoryError
-        It would need more than this process may use.
+    ``what``: the photograph, for messages; ``calibration``: of the photograph's size. Returns whether the volumes are
+    to be kept on disk (`chromaperture.system.scratch`). Raises OutOfMemoryError: it would need more than this process
+    may use.
     """
     needed = needed_bytes(calibration, config)
     if needed < _SMALL_BYTES and needed < limit_bytes():

@@ -27,13 +27,8 @@ def default_config(
 ) -> Config:
     """Return the settings for a camera: the quality's preset over the camera's own working range.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    quality : {"paper", "real-time", "accurate"}
-    scale : float or "auto"
-        Match pictures reduced to 1 / scale; ``auto`` is `chromaperture.model.scale.working_scale`, for ``accurate``
-        `accurate_scale`.
+    ``quality`` {"paper", "real-time", "accurate"}; ``scale``: match pictures reduced to 1 / scale; ``auto`` is
+    `chromaperture.model.scale.working_scale`, for ``accurate`` `accurate_scale`.
     """
     if scale == "auto":
         scale = accurate_scale(calibration) if quality == "accurate" else working_scale(calibration)
@@ -113,14 +108,8 @@ def scaled_method(
 ) -> Method:
     """Compose the method that a configuration describes, for photographs of a camera's full size.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    config : Config
-        At a ``scale`` above 1 the method is that of the camera of reduced pictures.
-    execution : {"numba", "numpy"}
-    device : str
-        As `CodedApertureCamera`.
+    ``config``: at a ``scale`` above 1 the method is that of the camera of reduced pictures; ``execution`` {"numba",
+    "numpy"}; ``device``: as `CodedApertureCamera`.
     """
     working = at_scale(calibration, config.scale)
     method: Method = method_for(

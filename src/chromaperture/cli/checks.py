@@ -20,10 +20,7 @@ if TYPE_CHECKING:
 def check_output(path: Path, *suffixes: str, inputs: Iterable[Path | None] = (), option: str = "--out") -> None:
     """Refuse a file to write that has another suffix, or that is one of the inputs.
 
-    Raises
-    ------
-    InputError
-        With the option to change.
+    Raises InputError: with the option to change.
     """
     if suffixes and path.suffix.lower() not in suffixes:
         raise InputError(f"{option} {path.name} must end in {' or '.join(suffixes)}")
@@ -35,10 +32,7 @@ def check_output(path: Path, *suffixes: str, inputs: Iterable[Path | None] = (),
 def check_film(camera: CodedApertureCamera, image: np.ndarray, name: str, *, refuse: bool = True) -> None:
     """Warn of a photograph that is unlikely to be taken through the camera's film; refuse one that cannot be.
 
-    Raises
-    ------
-    InputError
-        The film is certainly another one, and ``refuse``.
+    Raises InputError: the film is certainly another one, and ``refuse``.
     """
     if line := film_doubts(camera, image, name, refuse=refuse):
         warnings.warn(line, CaptureWarning, stacklevel=2)
@@ -55,10 +49,7 @@ def film_checked(frames: Iterable[Frame], camera: CodedApertureCamera, *, refuse
 def film_doubts(camera: CodedApertureCamera, image: np.ndarray, name: str, *, refuse: bool = False) -> str:
     """Return what speaks against the camera's film in a photograph, one line; empty where nothing does.
 
-    Raises
-    ------
-    InputError
-        As `check_film`.
+    Raises InputError: as `check_film`.
     """
     from chromaperture.evaluation.health import film_match
     from chromaperture.matching.working_scale import reduced

@@ -64,14 +64,8 @@ def demo(
 def explain_walls(halves: DepthFrame, opened: DepthFrame) -> tuple[str, str]:
     """Say what the two samples, one scene through two apertures, show of its far wall.
 
-    Parameters
-    ----------
-    halves, opened : DepthFrame
-        The scene through cyan and yellow halves, which measure the wall well, and through the open band.
-
-    Returns
-    -------
-    first, second : str
+    ``halves``, ``opened``: the scene through cyan and yellow halves, which measure the wall well, and through the open
+    band. Returns ``first, second`` str.
     """
     (distance, sigma), (other, other_sigma) = wall_distance(halves), wall_distance(opened)
     first = f"cyan and yellow halves; the far wall at the top right is {distance:.0f} ± {sigma:.0f} mm away."

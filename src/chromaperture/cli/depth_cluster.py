@@ -22,10 +22,7 @@ def measure_archive(
 
     The exit code is 1 where some could not be measured, 2 where none could.
 
-    Raises
-    ------
-    InputError
-        See `measure_on_cluster`; what is complete is kept.
+    Raises InputError: see `measure_on_cluster`; what is complete is kept.
     """
     failed: list[Outcome] = []
     measured = kept = 0

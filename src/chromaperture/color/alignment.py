@@ -72,26 +72,12 @@ def align_channels(
 ) -> np.ndarray:
     """Shift each channel back by its disparity, and predict the samples that were occluded in it.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear RGB
-    disparity_px : (H, W) float32, px; NaN is filled from the nearest known pixel
-    directions : (3, 2) float
-        From `channel_directions`.
-    displacement_px : (3, 2, H, W) float32, px, optional
-        Displacement, x before y, of each channel from the centre view, from `LensShift` or `residual_displacement`;
-        disparity times direction when absent.
-    exact : bool
-        Sample by Lanczos' filter where ``displacement_px`` is given, else by cubics, in a third of the time.
-
-    Returns
-    -------
-    (H, W, 3) float32, linear RGB, in the view of the pupil's centre
-
-    Raises
-    ------
-    InputError
-        Disparity and image differ in size.
+    ``image`` (H, W, 3) float32, linear RGB; ``disparity_px`` (H, W) float32, px; NaN is filled from the nearest known
+    pixel; ``directions`` (3, 2) float: from `channel_directions`; ``displacement_px`` (3, 2, H, W) float32, px:
+    displacement, x before y, of each channel from the centre view, from `LensShift` or `residual_displacement`;
+    disparity times direction when absent; ``exact``: sample by Lanczos' filter where ``displacement_px`` is given, else
+    by cubics, in a third of the time. Returns (H, W, 3) float32, linear RGB, in the view of the pupil's centre. Raises
+    InputError: disparity and image differ in size.
     """
     if image.shape[:2] != disparity_px.shape:
         raise InputError(

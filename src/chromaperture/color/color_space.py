@@ -74,18 +74,11 @@ _NOT_UNDONE = {7: "SMPTE 240M", 9: "logarithm, 100:1", 10: "logarithm, 316:1", 1
 def to_linear(values: np.ndarray, transfer: Transfer) -> np.ndarray:
     """Undo a curve.
 
-    Parameters
-    ----------
-    values
-        Encoded values in [0, 1], any shape; what lies outside is clipped, but goes on with ``srgb``.
-    transfer
-        The curve.
-
-    Returns
-    -------
-    Linear light in [0, 1], float32, same shape. ``bt709`` and ``hlg`` give light of the scene (inverse OETF: BT.709,
-    item 1.2; BT.2100, table 5), ``pq`` light of the display (EOTF: BT.2100, table 4). For the last two 1 is the diffuse
-    white of BT.2408 (a signal of 0.75; 203 cd/m2): what is brighter counts as saturated.
+    ``values``: encoded values in [0, 1], any shape; what lies outside is clipped, but goes on with ``srgb``;
+    ``transfer``: the curve. Returns Linear light in [0, 1], float32, same shape. ``bt709`` and ``hlg`` give light of
+    the scene (inverse OETF: BT.709,; item 1.2; BT.2100, table 5), ``pq`` light of the display (EOTF: BT.2100, table 4).
+    For the last two 1 is the diffuse; white of BT.2408 (a signal of 0.75; 203 cd/m2): what is brighter counts as
+    saturated..
     """
     if transfer.name == "srgb":
         return srgb_to_linear(values)
@@ -111,31 +104,19 @@ def to_linear(values: np.ndarray, transfer: Transfer) -> np.ndarray:
 
 @dataclass(frozen=True)
 class ColorSpace:
-    """Primaries and curve of a picture's numbers.
+    """Primaries and curve of a picture's numbers."""
 
-    Attributes
-    ----------
-    name
-        For people, such as "Display P3".
-    primaries
-        CIE x, y of red, green, blue and white; None where they are not stated.
-    transfer
-        The curve; None where it is not stated.
-    """
-
-    name: str
-    primaries: Primaries | None
-    transfer: Transfer | None
+    name: str  # for people, such as "Display P3"
+    primaries: Primaries | None  # CIE x, y of red, green, blue and white; None where they are not stated
+    transfer: Transfer | None  # the curve; None where it is not stated
 
     def to_srgb(self) -> tuple[float, ...] | None:
         """Matrix from linear light in these primaries to linear sRGB.
 
         Whites are brought together by Bradford's transform (ICC.1:2022, annex E), so neutral colours stay neutral.
 
-        Returns
-        -------
-        Nine numbers, row by row. None where no matrix is needed: primaries are not stated, or are those of sRGB to
-        2e-4 in x and y, by which no value changes by more than 0.3 % of full scale, and no neutral one.
+        Returns Nine numbers, row by row. None where no matrix is needed: primaries are not stated, or are those of sRGB
+        to; 2e-4 in x and y, by which no value changes by more than 0.3 % of full scale, and no neutral one..
         """
         if self.primaries is None or _known(self.primaries) == SRGB_PRIMARIES:
             return None
@@ -146,15 +127,8 @@ class ColorSpace:
 def of_codes(primaries: int, transfer: int) -> ColorSpace:
     """Colour space by the codes of ITU-T H.273 (tables 2 and 3), as in cICP, nclx and video streams.
 
-    Parameters
-    ----------
-    primaries, transfer
-        ColourPrimaries and TransferCharacteristics; 2 and 0 are "not stated".
-
-    Raises
-    ------
-    InputError
-        A curve that is not undone (logarithms, ST 428 and others), or primaries that are not read.
+    ``primaries``, ``transfer``: ColourPrimaries and TransferCharacteristics; 2 and 0 are "not stated". Raises
+    InputError: a curve that is not undone (logarithms, ST 428 and others), or primaries that are not read.
     """
     if transfer not in _NOT_STATED and transfer not in _TRANSFER_OF_CODE:
         what = _NOT_UNDONE.get(transfer, "unknown")
@@ -170,20 +144,10 @@ def of_values(
 ) -> ColorSpace:
     """Colour space by its values, with a name.
 
-    Parameters
-    ----------
-    primaries
-        CIE x, y of red, green, blue and white, or None. Those of a known set to 2e-4, as they are or adapted to
-        another white by Bradford's transform (in ICC profiles D50), become that set's own.
-    transfer
-        The curve, or None.
-    other
-        What primaries of no known set are called.
-
-    Raises
-    ------
-    InputError
-        The primaries lie on one line, or white is not inside of them.
+    ``primaries``: CIE x, y of red, green, blue and white, or None. Those of a known set to 2e-4, as they are or adapted
+    to another white by Bradford's transform (in ICC profiles D50), become that set's own; ``transfer``: the curve, or
+    None; ``other``: what primaries of no known set are called. Raises InputError: the primaries lie on one line, or
+    white is not inside of them.
     """
     if primaries is None:
         return ColorSpace(name_of(None, transfer), None, transfer)
@@ -199,16 +163,8 @@ def of_values(
 def name_of(primaries: Primaries | None, transfer: Transfer | None, other: str = "other primaries") -> str:
     """Name of primaries with a curve, for people.
 
-    Parameters
-    ----------
-    primaries, transfer
-        As in `ColorSpace`.
-    other
-        What primaries of no known set are called.
-
-    Returns
-    -------
-    Such as "Display P3"; "BT.2020, HLG", where the curve is not the usual one of these primaries.
+    ``primaries``, ``transfer``: as in `ColorSpace`; ``other``: what primaries of no known set are called. Returns Such
+    as "Display P3"; "BT.2020, HLG", where the curve is not the usual one of these primaries..
     """
     known = primaries and _known(primaries)
     if primaries and not known:

@@ -35,16 +35,8 @@ def of_icc(profile: bytes) -> ColorSpace:
     Codes in the profile (tag ``cicp``) go before the rest. A curve within half a level of 8 bits of a named one is
     taken for it: profiles of a few hundred bytes approximate sRGB by 20 to 40 entries.
 
-    Parameters
-    ----------
-    profile
-        The whole profile.
-
-    Raises
-    ------
-    InputError
-        The profile is damaged, is not one for R, G and B, works by tables alone, or has curves that differ or do not
-        rise from black to white.
+    ``profile``: the whole profile. Raises InputError: the profile is damaged, is not one for R, G and B, works by
+    tables alone, or has curves that differ or do not rise from black to white.
     """
     try:
         return _of_icc(profile)
@@ -58,20 +50,9 @@ def of_png(data: bytes) -> ColorSpace | None:
     A gamma of 1/2.2 with the primaries of sRGB, or none, is the curve of sRGB: writers add it for readers that do not
     know the chunk sRGB (11.3.2.5).
 
-    Parameters
-    ----------
-    data
-        The file, at least up to its first IDAT.
-
-    Returns
-    -------
-    None where no chunk states a colour space.
-
-    Raises
-    ------
-    InputError
-        The file is not a PNG, one of these chunks is damaged, or it states what is not undone: Y'CbCr, narrow range, a
-        curve or profile that `of_codes` or `of_icc` refuses.
+    ``data``: the file, at least up to its first IDAT. Raises InputError: the file is not a PNG, one of these chunks is
+    damaged, or it states what is not undone: Y'CbCr, narrow range, a curve or profile that `of_codes` or `of_icc`
+    refuses.
     """
     try:
         chunks = _png_chunks(data)
@@ -98,16 +79,8 @@ def of_exif(color_space: int | None, interoperability: str | None) -> ColorSpace
 
     Cameras that are set to Adobe RGB state it so, and most of them in no other way (DCF 2.0, option file).
 
-    Parameters
-    ----------
-    color_space
-        ColorSpace (tag 0xA001 of the Exif directory): 1 is sRGB, 0xFFFF any other, 2 some writers' Adobe RGB.
-    interoperability
-        InteroperabilityIndex (tag 1 of the directory at 0xA005): "R03" is Adobe RGB.
-
-    Returns
-    -------
-    None where neither states a colour space.
+    ``color_space``: ColorSpace (tag 0xA001 of the Exif directory): 1 is sRGB, 0xFFFF any other, 2 some writers' Adobe
+    RGB; ``interoperability``: InteroperabilityIndex (tag 1 of the directory at 0xA005): "R03" is Adobe RGB.
     """
     if color_space == 1:  # goes before an index that an editor has left behind
         return of_values(SRGB_PRIMARIES, Transfer("srgb"))

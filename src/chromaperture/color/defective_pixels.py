@@ -22,17 +22,9 @@ _SIGMAS, _TIMES_RANGE, _TIMES_OTHERS = 8.0, 2.0, 3.0
 def without_defects(image: np.ndarray, variance: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """Replace defective pixels by the median of their neighbourhood.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear RGB
-    variance : callable
-        From the image to the variance of its noise, (H, W, 3). It is called only where a pixel stands out of its
-        neighbours.
-
-    Returns
-    -------
-    (H, W, 3) float32
-        The image itself where nothing was found.
+    ``image`` (H, W, 3) float32, linear RGB; ``variance``: from the image to the variance of its noise, (H, W, 3). It is
+    called only where a pixel stands out of its neighbours. Returns (H, W, 3) float32: the image itself where nothing
+    was found.
     """
     ring = np.ones((3, 3), np.uint8)
     ring[1, 1] = 0

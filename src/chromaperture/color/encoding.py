@@ -25,21 +25,12 @@ CENTRED: Offsets = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
 
 @dataclass(frozen=True)
 class StatedFacts:
-    """What a person says of files that they do not say themselves; None: nothing.
+    """What a person says of files that they do not say themselves; None: nothing."""
 
-    Attributes
-    ----------
-    siting : {"centre", "left", "top-left"}, optional
-        Place of a subsampled file's chroma samples among those of luma.
-    primaries : {"srgb"}, optional
-        Of files whose tag is wrong.
-    mosaic : {"RGGB", "BGGR", "GRBG", "GBRG"}, optional
-        Grey files are such a mosaic of a Bayer sensor.
-    """
-
+    # {"centre", "left", "top-left"}: place of a subsampled file's chroma samples among those of luma.
     siting: Siting | None = None
-    primaries: Literal["srgb"] | None = None
-    mosaic: Pattern | None = None
+    primaries: Literal["srgb"] | None = None  # {"srgb"}: of files whose tag is wrong
+    mosaic: Pattern | None = None  # {"RGGB", "BGGR", "GRBG", "GBRG"}: grey files are such a mosaic of a Bayer sensor
 
     def __post_init__(self) -> None:
         for name, known in {"siting": SITINGS, "primaries": ("srgb",), "mosaic": PATTERNS}.items():
@@ -57,38 +48,24 @@ NOTHING_STATED = StatedFacts()
 
 @dataclass(frozen=True)
 class Encoding:
-    """Conversion of counts to linear light.
+    """Conversion of counts to linear light."""
 
-    Attributes
-    ----------
-    black_level, white_level : float
-        Counts of no light and of a full well.
-    curve : str
-        Transfer by which values are decoded, see `Transfer`; levels apply before it.
-    channel_offsets_px : ((dx, dy),) * 3
-        Sampling positions of R, G and B from the pixel's centre; not zero for superpixels of a Bayer mosaic.
-    response : ResponseCurve, optional
-        Light of the values that levels and curve give: the tone curve of a calibrated camera.
-    given : bool
-        False: nobody gave the levels. They are those of the number format or of a RAW file, and a camera file's replace
-        them. Not compared: light is the same.
-    curve_parameters : tuple of float
-        Of the curve.
-    to_srgb : (9,) tuple of float, optional
-        Rows of the matrix from the file's primaries to those of sRGB, of light.
-    stated : StatedFacts
-        Of a camera: what a person said of its files.
-    """
-
+    # ``black_level``, ``white_level``: Counts of no light and of a full well.
     black_level: float = 0.0
     white_level: float = 65535.0
-    curve: str = "linear"
+    curve: str = "linear"  # transfer by which values are decoded, see `Transfer`; levels apply before it
+    # ((dx, dy),) * 3: sampling positions of R, G and B from the pixel's centre; not zero for superpixels of a Bayer
+    # mosaic.
     channel_offsets_px: Offsets = CENTRED
+    # Light of the values that levels and curve give: the tone curve of a calibrated camera.
     response: ResponseCurve | None = None
+    # False: nobody gave the levels. They are those of the number format or of a RAW file, and a camera file's replace
+    # them. Not compared: light is the same.
     given: bool = field(default=True, compare=False)
-    curve_parameters: tuple[float, ...] = ()
+    curve_parameters: tuple[float, ...] = ()  # of the curve
+    # (9,) tuple of float: rows of the matrix from the file's primaries to those of sRGB, of light.
     to_srgb: tuple[float, ...] | None = None
-    stated: StatedFacts = field(default=NOTHING_STATED, compare=False)
+    stated: StatedFacts = field(default=NOTHING_STATED, compare=False)  # of a camera: what a person said of its files
 
     def __post_init__(self) -> None:
         if not (np.isfinite([self.black_level, self.white_level]).all() and self.white_level > self.black_level):

@@ -20,18 +20,9 @@ def completed_film(
     through the aperture, its channels are scaled so that the aperture passes that light; with one sheet missing this is
     exact.
 
-    Parameters
-    ----------
-    aperture : Aperture
-    measured : mapping of str to (3,) float
-        Transmission in R, G, B, of film with a sheet.
-    light : (3,) float or None
-        Light of each channel through the aperture, over that of the open pupil.
-
-    Returns
-    -------
-    dict of str to (3,) float64
-        For every filter among ``aperture.views``.
+    ``measured`` mapping of str to (3,) float: transmission in R, G, B, of film with a sheet; ``light`` (3,) float or
+    None: light of each channel through the aperture, over that of the open pupil. Returns dict of str to (3,) float64:
+    for every filter among ``aperture.views``.
     """
     usual = {name: sheet.transmission for name, sheet in (film_named("real") | FIXED).items()}
     film = {

@@ -41,37 +41,19 @@ _BEYOND = 0.2  # right: at most 0.06; the halves against the open design, where 
 
 @dataclass(frozen=True)
 class FilmMatch:
-    """Evidence for and against a film.
+    """Evidence for and against a film."""
 
-    Attributes
-    ----------
-    cast : float or None
-        Natural logarithm of the green edges over those of red and blue, relative to the camera's white; None without
-        edges.
-    moved_px : float
-        Median displacement of red and blue against green; 0 where too few windows were measured.
-    explained : float or None
-        Fraction of the squared displacements that this film can cause; None where nothing is displaced.
-    advantage : float
-        What this film leaves unexplained over what the best known design does.
-    better : str
-        That design.
-    beyond : float
-        Fraction of the windows displaced further than the working range allows.
-    tinted_as : str
-        The known designs of usual film whose white is nearest to the cast.
-    wide : bool
-        Whether the film displaces its channels by more than the errors of the windows.
-    """
-
+    # Natural logarithm of the green edges over those of red and blue, relative to the camera's white; None without
+    # edges.
     cast: float | None
-    moved_px: float = 0.0
+    moved_px: float = 0.0  # median displacement of red and blue against green; 0 where too few windows were measured
+    # Fraction of the squared displacements that this film can cause; None where nothing is displaced.
     explained: float | None = None
-    advantage: float = 1.0
-    better: str = ""
-    beyond: float = 0.0
-    wide: bool = False
-    tinted_as: str = ""
+    advantage: float = 1.0  # what this film leaves unexplained over what the best known design does
+    better: str = ""  # that design
+    beyond: float = 0.0  # fraction of the windows displaced further than the working range allows
+    wide: bool = False  # whether the film displaces its channels by more than the errors of the windows
+    tinted_as: str = ""  # the known designs of usual film whose white is nearest to the cast
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -101,15 +83,9 @@ class FilmMatch:
 def match_film(image: np.ndarray, aperture: Aperture, white: np.ndarray, radius_px: tuple[float, float]) -> FilmMatch:
     """Compare a photograph with a film.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float, linear RGB, 1.0 = white level
-    aperture : Aperture
-        With the camera's own film.
-    white : (3,) float
-        Colour of white light through it.
-    radius_px : (float, float)
-        Signed blur radius at the near and the far end of the working range.
+    ``image`` (H, W, 3) float, linear RGB, 1.0 = white level; ``aperture``: with the camera's own film; ``white`` (3,)
+    float: colour of white light through it; ``radius_px`` (float, float): signed blur radius at the near and the far
+    end of the working range.
     """
     image = np.nan_to_num(np.asarray(image, np.float32), posinf=1.0)
     scale = min(1.0, _WIDTH_PX / image.shape[1])

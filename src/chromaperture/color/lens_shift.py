@@ -35,39 +35,26 @@ _STEPS = 6  # of Gauss-Newton
 
 
 class LensMoves(NamedTuple):
-    """What the displacement of the channels by a lens is computed from, for a device.
+    """What the displacement of the channels by a lens is computed from, for a device."""
 
-    Attributes
-    ----------
-    table : (rows, columns, radii, 6) float32, px of the working scale
-        Displacement of R, G, B, x before y each, at positions evenly spaced over the frame and at blur radii.
-    first_px, step_px : float
-        The first radius, and from one to the next.
-    at_zero_px, per_px : float
-        Radius at disparity 0, and by how much it grows a px of disparity, both of the photograph.
-    factor : float
-        Px of the photograph a px of the working scale.
-    exact : bool
-        Whether channels are sampled by Lanczos' filter, else by cubics.
-    """
-
+    # (rows, columns, radii, 6) float32, px of the working scale: displacement of R, G, B, x before y each, at positions
+    # evenly spaced over the frame and at blur radii.
     table: np.ndarray
+    # ``first_px``, ``step_px``: The first radius, and from one to the next.
     first_px: float
     step_px: float
+    # ``at_zero_px``, ``per_px``: Radius at disparity 0, and by how much it grows a px of disparity, both of the
+    # photograph.
     at_zero_px: float
     per_px: float
-    factor: float
-    exact: bool
+    factor: float  # px of the photograph a px of the working scale
+    exact: bool  # whether channels are sampled by Lanczos' filter, else by cubics
 
 
 class LensShift:
     """Displacement of the channels over the frame and a range of blur radii.
 
-    Parameters
-    ----------
-    blur : LensBlur
-    near_mm, far_mm : float
-        Range of distances from the entrance pupil; outside it the nearest displacement is used.
+    ``near_mm``, ``far_mm``: range of distances from the entrance pupil; outside it the nearest displacement is used.
     """
 
     def __init__(self, blur: LensBlur, *, near_mm: float, far_mm: float) -> None:
@@ -90,16 +77,9 @@ class LensShift:
     def __call__(self, radius_px: np.ndarray, *, first_row: int = 0, height: int | None = None) -> np.ndarray:
         """Compute the displacement of each channel from the view of the pupil's centre.
 
-        Parameters
-        ----------
-        radius_px : (H, W) float, px, no NaN
-            Over the frame, in any number of pixels.
-        first_row, height : int
-            Where ``radius_px`` is a band of a frame of so many rows, the number of its first row.
-
-        Returns
-        -------
-        (3, 2, H, W) float32, px, x before y: channel k shows at x + displacement what the centre view shows at x
+        ``radius_px`` (H, W) float, px, no NaN: over the frame, in any number of pixels; ``first_row``, ``height``:
+        where ``radius_px`` is a band of a frame of so many rows, the number of its first row. Returns (3, 2, H, W)
+        float32, px, x before y: channel k shows at x + displacement what the centre view shows at x.
         """
         out = np.empty((3, 2, *radius_px.shape), np.float32)
         planes, table = out.reshape(6, *radius_px.shape), self.table
@@ -133,10 +113,7 @@ class LensShift:
 def least_fringes(rays: list[ChannelRays]) -> np.ndarray:
     """Compute the displacements after which the blurred channels differ least; (3, 2) float64, px, (x, y).
 
-    Parameters
-    ----------
-    rays : list of three ChannelRays
-        Of one object point.
+    ``rays``: of one object point.
     """
     step = _HIGHEST / _FREQUENCIES
     fy, fx = step * np.arange(-_FREQUENCIES, _FREQUENCIES + 1)[:, None], step * np.arange(_FREQUENCIES + 1)

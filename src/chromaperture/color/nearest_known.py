@@ -15,14 +15,7 @@ from chromaperture.system.threads import in_parallel
 def fill_from_nearest(values: np.ndarray) -> np.ndarray:
     """Replace every NaN by the value of a nearest known pixel.
 
-    Parameters
-    ----------
-    values : (H, W) float32 or float64
-        At least one is known.
-
-    Returns
-    -------
-    (H, W), of the same type
+    ``values`` (H, W) float32 or float64: at least one is known. Returns (H, W), of the same type.
     """
     values = np.ascontiguousarray(values)
     rows, filled = np.empty(values.shape, np.int32), values.copy()

@@ -56,13 +56,7 @@ def estimate_noise_variance(image: np.ndarray) -> np.ndarray:
 
     From the median of the absolute Immerkaer response over the frame: texture raises a minority of the pixels only.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float, linear
-
-    Returns
-    -------
-    (H, W, 3) float32, constant over the frame, (white level)^2
+    ``image`` (H, W, 3) float, linear. Returns (H, W, 3) float32, constant over the frame, (white level)^2.
     """
     image = np.asarray(image, np.float32)
     response = fine_structure(image).reshape(-1, image.shape[2])
@@ -76,17 +70,10 @@ def estimate_noise_variance(image: np.ndarray) -> np.ndarray:
 def noise_samples(image: np.ndarray, *, scale_px: int = 1) -> tuple[np.ndarray, np.ndarray]:
     """Compute brightness and noise variance of blocks of an image.
 
-    Parameters
-    ----------
-    image : (H, W, C) float, linear, 1.0 = white level
-    scale_px : int
-        Side of the squares of pixels that are averaged first. The variance is that of the pixels of white noise whose
-        averages have what is found.
-
-    Returns
-    -------
-    level, variance : (B,) float64
-        Of each block and channel, white level and its square; clipped and non-finite blocks are left out.
+    ``image`` (H, W, C) float, linear, 1.0 = white level; ``scale_px``: side of the squares of pixels that are averaged
+    first. The variance is that of the pixels of white noise whose averages have what is found. Returns ``level,
+    variance`` (B,) float64: of each block and channel, white level and its square; clipped and non-finite blocks are
+    left out.
     """
     if min(image.shape[:2]) < scale_px * _BLOCK_SAMPLES:
         return np.empty(0), np.empty(0)
@@ -115,14 +102,8 @@ def photon_noise_of_sheets(sheets: Iterable[np.ndarray]) -> tuple[float, float] 
     Compression and the interpolation of a colour mosaic take noise out of the finest detail alone. What is left there
     is no measure of the noise in detail of a few pixels, which evidence and restoration see.
 
-    Parameters
-    ----------
-    sheets : iterable of (H, W, C) float, linear, 1.0 = white level
-
-    Returns
-    -------
-    full_well_electrons, read_noise_electrons : float
-        See `fit_photon_noise`.
+    ``sheets`` iterable of (H, W, C) float, linear, 1.0 = white level. Returns ``full_well_electrons,
+    read_noise_electrons`` see `fit_photon_noise`.
     """
     samples: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in _SCALES_PX]
     for sheet in sheets:
@@ -145,16 +126,8 @@ def noise_ratio(image: np.ndarray, variance: np.ndarray) -> float:
     noise is not: of the fine structure of a block, in units of the expected noise, the least eigenvalue of the
     channels' covariance is the noise's.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float, linear, 1.0 = white level
-    variance : (H, W, 3) float
-        What is expected, (white level)^2.
-
-    Returns
-    -------
-    float
-        1, or at least `_CLEAR_RATIO`.
+    ``image`` (H, W, 3) float, linear, 1.0 = white level; ``variance`` (H, W, 3) float: what is expected, (white
+    level)^2. Returns 1, or at least `_CLEAR_RATIO`.
     """
     image = np.asarray(image, np.float32)
     finest = _ratio_at(image, variance, 1)
@@ -202,15 +175,9 @@ def fit_photon_noise(level: np.ndarray, variance: np.ndarray) -> tuple[float, fl
     Texture only adds to a block's variance: the line ``level / full_well + (read_noise / full_well)^2`` is the lower
     edge of the scatter plot.
 
-    Parameters
-    ----------
-    level, variance : (B,) float
-        Blocks of all photographs together, from `noise_samples`.
-
-    Returns
-    -------
-    full_well_electrons, read_noise_electrons : float
-        None when variance does not grow with brightness: too few levels, or denoised photographs.
+    ``level``, ``variance`` (B,) float: blocks of all photographs together, from `noise_samples`. Returns
+    ``full_well_electrons, read_noise_electrons`` None when variance does not grow with brightness: too few levels, or
+    denoised photographs.
     """
     level, variance = np.asarray(level, float), np.asarray(variance, float)
     if len(level) < _FEWEST_BLOCKS or np.ptp(level) < _LEAST_RANGE * level.max(initial=0):

@@ -42,17 +42,9 @@ _REWEIGHTINGS = 30
 def residual_displacement(aligned: np.ndarray, disparity_px: np.ndarray, *, surfaces: bool = True) -> np.ndarray:
     """Measure the smooth displacement of red and blue from green that remains.
 
-    Parameters
-    ----------
-    aligned : (H, W, 3) float32, linear RGB
-        From `align_channels`.
-    disparity_px : (H, W) float32, px, no NaN
-    surfaces : bool
-        Average over single surfaces too, not only over the whole frame.
-
-    Returns
-    -------
-    (3, 2, H, W) float32, px, x before y, to be added to the displacement of channel k; zero without texture
+    ``aligned`` (H, W, 3) float32, linear RGB: from `align_channels`; ``disparity_px`` (H, W) float32, px, no NaN;
+    ``surfaces``: average over single surfaces too, not only over the whole frame. Returns (3, 2, H, W) float32, px, x
+    before y, to be added to the displacement of channel k; zero without texture.
     """
     height, width = disparity_px.shape
     tone = np.maximum(np.asarray(aligned, np.float32), 0)
@@ -109,16 +101,9 @@ def by_surface(
 ) -> np.ndarray:
     """Average windows over cells of image position and disparity, smoothly from cell to cell.
 
-    Parameters
-    ----------
-    places_px : (N, 2) int, (x, y)
-    displacement_px : (N, 2) float, (x, y)
-    error_px : (N,) float
-    disparity_px : (H, W) float32, no NaN
-
-    Returns
-    -------
-    (2, H, W) float32, px, x before y; near zero where there are no windows
+    ``places_px`` (N, 2) int, (x, y); ``displacement_px`` (N, 2) float, (x, y); ``error_px`` (N,) float;
+    ``disparity_px`` (H, W) float32, no NaN. Returns (2, H, W) float32, px, x before y; near zero where there are no
+    windows.
     """
     low, height, width = float(disparity_px.min()), *disparity_px.shape
     depth = (disparity_px - np.float32(low)) / np.float32(_CELL_DISPARITY) + 1
@@ -142,20 +127,9 @@ def by_surface(
 def registered_windows(moved: np.ndarray, fixed: np.ndarray, stride: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Register two pictures, window by window where they have texture in both directions.
 
-    Parameters
-    ----------
-    moved, fixed : (H, W) float32
-    stride : int, px
-        Between windows.
-
-    Returns
-    -------
-    places_px : (N, 2) int, (x, y)
-        Centres of the windows.
-    displacement_px : (N, 2) float64, (x, y)
-        ``moved`` shows at x + displacement what ``fixed`` shows at x.
-    error_px : (N,) float64
-        Standard error of each.
+    ``moved``, ``fixed`` (H, W) float32; ``stride`` int, px: between windows. Returns ``places_px`` (N, 2) int, (x, y):
+    centres of the windows; ``displacement_px`` (N, 2) float64, (x, y): ``moved`` shows at x + displacement what
+    ``fixed`` shows at x; ``error_px`` (N,) float64: standard error of each.
     """
     height, width = fixed.shape
     side = (2 * _HALF + 1, 2 * _HALF + 1)
@@ -191,14 +165,7 @@ def standard_error(moved: np.ndarray, fixed: np.ndarray) -> float:
     An affine change of tone and a small shift are fitted by least squares; residuals may be correlated within each of
     3 x 3 parts (clustered standard errors), whatever their cause: noise, a colour in one channel only, two depths.
 
-    Parameters
-    ----------
-    moved, fixed : (h, w) float32
-        Registered to a px.
-
-    Returns
-    -------
-    float, px
+    ``moved``, ``fixed`` (h, w) float32: registered to a px. Returns float, px.
     """
     gy, gx = np.gradient(fixed.astype(float))
     rows = np.stack([np.ones(fixed.shape), fixed - fixed.mean(), gx, gy])

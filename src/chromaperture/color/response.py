@@ -20,14 +20,9 @@ _LEAST = 1e-6  # decoded value whose logarithm stands for that of 0
 
 @dataclass(frozen=True)
 class ResponseCurve:
-    """Light of decoded values; 0 and 1 stay what they are.
+    """Light of decoded values; 0 and 1 stay what they are."""
 
-    Attributes
-    ----------
-    exponents : tuple of float
-        d ln light / d ln value, positive, at evenly spaced sRGB codes from 0 to 1, linear between them.
-    """
-
+    # D ln light / d ln value, positive, at evenly spaced sRGB codes from 0 to 1, linear between them.
     exponents: tuple[float, ...]
 
     def light(self, values: np.ndarray) -> np.ndarray:

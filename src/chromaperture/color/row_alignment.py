@@ -23,21 +23,11 @@ _BAND_ROWS = 128  # of which `RADIUS_PX` more on both sides are computed again; 
 
 
 class RowMoves(NamedTuple):
-    """How channels are displaced horizontally.
+    """How channels are displaced horizontally."""
 
-    Attributes
-    ----------
-    moves : (3,) float32
-        Displacement of the channels per px of disparity; 0 leaves a channel as it is.
-    views : (3,) float32
-        The same for the depth buffer; 0 sees everything.
-    order : (3,) int64
-        Channels, the best guide of `fill_hidden` first.
-    """
-
-    moves: np.ndarray
-    views: np.ndarray
-    order: np.ndarray
+    moves: np.ndarray  # (3,) float32: displacement of the channels per px of disparity; 0 leaves a channel as it is
+    views: np.ndarray  # (3,) float32: the same for the depth buffer; 0 sees everything
+    order: np.ndarray  # (3,) int64: channels, the best guide of `fill_hidden` first
 
 
 def row_moves(directions: np.ndarray) -> RowMoves | None:
@@ -72,19 +62,10 @@ def aligned_bands(
 ) -> None:
     """Align the channels in bands of rows, each from its first sample to its last.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear RGB
-    disparity_rows : callable
-        Returns the disparity of some rows, (rows, W) float32, px, finite.
-    along : RowMoves
-    take : callable
-        Gets the rows of every band and its colours, (rows, W, 3) float32, as `align_channels` makes them, then
-        `white_balance`; on any thread, in any order.
-    gains : (3,) float, optional
-        By which the aligned channels are multiplied; what is below black then becomes black.
-    multiple : int
-        Of which every band's first row is one.
+    ``image`` (H, W, 3) float32, linear RGB; ``disparity_rows``: returns the disparity of some rows, (rows, W) float32,
+    px, finite; ``take``: gets the rows of every band and its colours, (rows, W, 3) float32, as `align_channels` makes
+    them, then `white_balance`; on any thread, in any order; ``gains`` (3,) float: by which the aligned channels are
+    multiplied; what is below black then becomes black; ``multiple``: of which every band's first row is one.
     """
     height = len(image)
     picture = np.ascontiguousarray(image, np.float32)

@@ -13,12 +13,7 @@ A = np.float32(-0.75)  # slope of the cubic at 1, as in OpenCV: `cv2.remap` give
 def shift_along_rows(image: np.ndarray, displacement_px: np.ndarray, channel: int, out: np.ndarray) -> None:
     """Sample a channel at x + displacement by cubic interpolation into ``out``, with replicated borders.
 
-    Parameters
-    ----------
-    image : (H, W, C) float32
-    displacement_px : (H, W) float32, finite
-    channel : int
-    out : (H, W, C) float32
+    ``image`` (H, W, C) float32; ``displacement_px`` (H, W) float32, finite; ``out`` (H, W, C) float32.
     """
     displacement = np.ascontiguousarray(displacement_px)
     in_parallel(lambda _, first, last: _shift(image, displacement, channel, out, first, last), len(displacement))

@@ -21,21 +21,10 @@ class Exposure:
 def snr_db(first: np.ndarray, second: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Compute the signal-to-noise ratio in the middle and at the border of a white sheet, 20 log10(mean / sigma).
 
-    Parameters
-    ----------
-    first : (H, W, 3) float, linear
-    second : (H, W, 3) float, optional
-        Another photograph of the same sheet: their difference is temporal noise alone, without the sheet's texture and
-        the pixels' gains. When absent, the noise is estimated from the fine structure of the first.
-
-    Returns
-    -------
-    central, border : (3,) float64, dB, per channel
-
-    Raises
-    ------
-    InputError
-        The two differ in size or brightness.
+    ``first`` (H, W, 3) float, linear; ``second`` (H, W, 3) float: another photograph of the same sheet: their
+    difference is temporal noise alone, without the sheet's texture and the pixels' gains. When absent, the noise is
+    estimated from the fine structure of the first. Returns ``central, border`` (3,) float64, dB, per channel. Raises
+    InputError: the two differ in size or brightness.
     """
     first = np.asarray(first, np.float32)
     if second is not None:
@@ -57,16 +46,8 @@ def exposure_to_restore(loss_db: float) -> Exposure:
 def expected_loss_db(transmission: float, *, read_variance_ratio: float = 0.0) -> float:
     """Compute the loss of SNR by an aperture from its transmission.
 
-    Parameters
-    ----------
-    transmission : float
-        Fraction of the light, (0, 1].
-    read_variance_ratio : float
-        Variance of the read noise over that of the shot noise at full light.
-
-    Returns
-    -------
-    float, dB: 10 log10(1 / T) for shot noise alone
+    ``transmission``: fraction of the light, (0, 1]; ``read_variance_ratio``: variance of the read noise over that of
+    the shot noise at full light. Returns float, dB: 10 log10(1 / T) for shot noise alone.
     """
     if not 0 < transmission <= 1 or read_variance_ratio < 0:
         raise InputError("transmission must lie in (0, 1] and the ratio of read noise must be >= 0")

@@ -34,19 +34,9 @@ def transparency(coded: np.ndarray, bare: np.ndarray) -> np.ndarray:
     Both pictures are blurred before the division: noise would bias a mean of ratios. Uneven lighting cancels; dust on
     the sheet is left out of the means.
 
-    Parameters
-    ----------
-    coded, bare : (H, W, 3) float, linear RGB, 1.0 = white level
-        The same white sheet with and without the coded aperture, at the same exposure.
-
-    Returns
-    -------
-    (H, W, 3) float32
-
-    Raises
-    ------
-    InputError
-        The pictures differ in size or exposure, or one is saturated or dark.
+    ``coded``, ``bare`` (H, W, 3) float, linear RGB, 1.0 = white level: the same white sheet with and without the coded
+    aperture, at the same exposure. Returns (H, W, 3) float32. Raises InputError: the pictures differ in size or
+    exposure, or one is saturated or dark.
     """
     if coded.shape != bare.shape:
         raise InputError(f"the two white sheets differ in size: {coded.shape} and {bare.shape}")
@@ -70,10 +60,7 @@ def transparency(coded: np.ndarray, bare: np.ndarray) -> np.ndarray:
 def light_efficiency(transmission: np.ndarray) -> LightEfficiency:
     """Summarise a transparency map as in Table 1 and Figure 11.
 
-    Parameters
-    ----------
-    transmission : (H, W, 3) float
-        From `transparency`.
+    ``transmission`` (H, W, 3) float: from `transparency`.
     """
     flat = np.asarray(transmission, float).reshape(-1, 3)
     mean = flat.mean(axis=0)
@@ -86,19 +73,8 @@ def flat_field(sheet: np.ndarray) -> np.ndarray:
     Rims of the lens cut a coded pupil from one side, so each channel falls off towards another corner: one correction
     for all three would tint the picture.
 
-    Parameters
-    ----------
-    sheet : (H, W, 3) float, linear RGB
-        An evenly lit white sheet through the aperture.
-
-    Returns
-    -------
-    (H, W, 3) float32; 1 in the middle
-
-    Raises
-    ------
-    InputError
-        The sheet is saturated, or dark somewhere.
+    ``sheet`` (H, W, 3) float, linear RGB: an evenly lit white sheet through the aperture. Returns (H, W, 3) float32; 1
+    in the middle. Raises InputError: the sheet is saturated, or dark somewhere.
     """
     if is_saturated(sheet):
         raise InputError("the white sheet is saturated: photograph it again at a shorter exposure")

@@ -18,19 +18,8 @@ def mixing_matrix(filter_colors: np.ndarray) -> np.ndarray:
     For two filters the third column is the unit normal X of their plane: then the first two rows of the inverse are the
     least-squares unmixing, and the third measures the residual.
 
-    Parameters
-    ----------
-    filter_colors : (K, 3) float
-        R, G, B of white light through filter k; K is 2 or 3. The scale is free.
-
-    Returns
-    -------
-    (3, 3) float64
-
-    Raises
-    ------
-    InputError
-        The colours are not finite, or too similar.
+    ``filter_colors`` (K, 3) float: R, G, B of white light through filter k; K is 2 or 3. The scale is free. Returns (3,
+    3) float64. Raises InputError: the colours are not finite, or too similar.
     """
     colors = np.asarray(filter_colors, float)
     if colors.ndim != 2 or colors.shape[0] not in (2, 3) or colors.shape[1] != 3 or not np.isfinite(colors).all():
@@ -66,10 +55,7 @@ def unmixing_rows(mixing: np.ndarray, view_count: int) -> np.ndarray:
 def own_film_unmixing(aperture: Aperture) -> np.ndarray:
     """Compute the unmixing rows of the aperture's own film under white light; (K, 3) float64.
 
-    Raises
-    ------
-    InputError
-        The design has no parallax (a symmetric or an open pupil).
+    Raises InputError: the design has no parallax (a symmetric or an open pupil).
     """
     if not aperture.views:
         raise InputError(
@@ -91,9 +77,7 @@ def pure_channels(aperture: Aperture) -> np.ndarray | None:
     Red passes only the yellow half and blue only the cyan one: such channels are views themselves, without the noise of
     unmixing and without the other half's crosstalk that a coloured surface leaves in an unmixed view.
 
-    Returns
-    -------
-    (K, 3) float64 of zeros and ones, in the order of ``aperture.views``; None when a view has no such channel
+    Returns (K, 3) float64 of zeros and ones, in the order of ``aperture.views``; None when a view has no such channel.
     """
     light = np.array([aperture.remainder.transmission, *(part.filter.transmission for part in aperture.parts)])
     names = [None, *(part.filter.name for part in aperture.parts)]
@@ -120,9 +104,7 @@ def view_directions(aperture: Aperture) -> np.ndarray:
     takes up; uneven ones also move the middle of two views off that of the pupil, by .16 d for the open band
     (docs/conventions.md).
 
-    Returns
-    -------
-    (K, 2) float64, (x, y)
+    Returns (K, 2) float64, (x, y).
     """
     rho = centroids(aperture, own_film_unmixing(aperture))
     directions = rho / np.linalg.norm(rho, axis=1).mean()

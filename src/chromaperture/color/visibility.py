@@ -26,15 +26,8 @@ RIDGE = np.float32(1e-4)  # variance of a uniform neighbourhood, (white level)^2
 def visible_from(disparity_px: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Find the pixels of the centre view that a channel sees, by a depth buffer in the channel's view.
 
-    Parameters
-    ----------
-    disparity_px : (H, W) float32, px, no NaN; the smaller is the nearer
-    direction : (2,) float
-        Displacement (x, y) of the channel per px of disparity.
-
-    Returns
-    -------
-    (H, W) bool
+    ``disparity_px`` (H, W) float32, px, no NaN; the smaller is the nearer; ``direction`` (2,) float: displacement (x,
+    y) of the channel per px of disparity. Returns (H, W) bool.
     """
     ux, uy = np.float32(direction[0]), np.float32(direction[1])
     if math.hypot(float(direction[0]), float(direction[1])) < STILL:
@@ -95,21 +88,10 @@ def fill_hidden(
 ) -> np.ndarray:
     """Predict occluded samples from the colour line of their own surface.
 
-    Parameters
-    ----------
-    color : (H, W, 3) float32, linear RGB
-        Aligned channels.
-    visible : (H, W, 3) bool
-        From `visible_from`, for each channel.
-    disparity_px : (H, W) float32, px, no NaN
-    order : (3,) int
-        Channels, the best guide first: the one that moves least is occluded least.
-    out : (H, W, 3) float32, optional
-        Result; may be ``color``, of which only visible samples are read.
-
-    Returns
-    -------
-    (H, W, 3) float32; a sample with too few visible neighbours keeps its value
+    ``color`` (H, W, 3) float32, linear RGB: aligned channels; ``visible`` (H, W, 3) bool: from `visible_from`, for each
+    channel; ``disparity_px`` (H, W) float32, px, no NaN; ``order`` (3,) int: channels, the best guide first: the one
+    that moves least is occluded least; ``out`` (H, W, 3) float32: result; may be ``color``, of which only visible
+    samples are read. Returns (H, W, 3) float32; a sample with too few visible neighbours keeps its value.
     """
     if out is None:
         out = np.array(color, np.float32)

@@ -95,14 +95,8 @@ def disparity_to_inverse_depth(disparity_px: Map, model: DepthModel) -> np.ndarr
 
     Average inverse depth, not depth: its error is as symmetric as that of the disparity.
 
-    Parameters
-    ----------
-    disparity_px : (H, W) float, px, half disparity, + beyond focus
-    model : DepthModel
-
-    Returns
-    -------
-    (H, W) float64, 1/mm; 0 at infinity, negative where the disparity exceeds that of infinity, NaN unknown.
+    ``disparity_px`` (H, W) float, px, half disparity, + beyond focus. Returns (H, W) float64, 1/mm; 0 at infinity,
+    negative where the disparity exceeds that of infinity, NaN unknown..
     """
     disparity = _map(disparity_px, model)
     if model.nonlinearity is not None:
@@ -161,15 +155,7 @@ def depth_and_sigma(
 def depth_sigma(z_mm: Map, model: DepthModel, sigma_px: Map) -> np.ndarray:
     """Propagate the errors of d, A, B, delta and the nonlinearity to the depth: first order, with correlations.
 
-    Parameters
-    ----------
-    z_mm : (H, W) float, mm from the entrance pupil
-    model : DepthModel
-    sigma_px : (H, W) float, px
-
-    Returns
-    -------
-    (H, W) float64, mm
+    ``z_mm`` (H, W) float, mm from the entrance pupil; ``sigma_px`` (H, W) float, px. Returns (H, W) float64, mm.
     """
     z = np.asarray(z_mm, float)
     c = np.asarray(model.covariance, float)

@@ -68,13 +68,8 @@ def depth_and_sigma(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute depth and its standard deviation, two (H, W) float32, mm; NaN unknown.
 
-    Parameters
-    ----------
-    disparity_px : (H, W) float
-    sigma_px : (H, W) or (1, 1) float
-    fields, curve
-        From `field_maps` and `curve_table`.
-    max_depth_mm : float
+    ``disparity_px`` (H, W) float; ``sigma_px`` (H, W) or (1, 1) float; ``fields``, ``curve``: from `field_maps` and
+    `curve_table`.
     """
     depth_mm, sigma_mm = (np.empty(disparity_px.shape, np.float32) for _ in range(2))
 

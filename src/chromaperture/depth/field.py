@@ -47,60 +47,40 @@ class LocalField:
 
 
 class FieldNumbers(NamedTuple):
-    """What the curves of a frame are computed from, for a device that keeps no maps of them.
+    """What the curves of a frame are computed from, for a device that keeps no maps of them."""
 
-    Attributes
-    ----------
-    width_px, height_px : int
-        Of the frame.
-    infinity_px, scale_px_mm : (n + 1, n + 1) float64
-        Of A and B: coefficient (i, j) is that of T_i(u) T_j(v), u and v being -1 and 1 at the frame's outer pixels.
-    pupil_mm : float
-    local : (2, h, w) float32
-        Added to A and B, bilinear on a grid, constant beyond it.
-    local_start_px, local_step_px : float
-        Position of the grid's first column and row, and its pitch.
-    covariance : (6, h, w) float32
-        AA, AB, A delta, BB, B delta, delta delta, bilinear between nodes evenly spaced over the frame.
-    """
-
+    # ``width_px``, ``height_px``: Of the frame.
     width_px: int
     height_px: int
+    # ``infinity_px``, ``scale_px_mm``: (n + 1, n + 1) float64: of A and B: coefficient (i, j) is that of T_i(u) T_j(v),
+    # u and v being -1 and 1 at the frame's outer pixels.
     infinity_px: np.ndarray
     scale_px_mm: np.ndarray
     pupil_mm: float
-    local: np.ndarray
+    local: np.ndarray  # (2, h, w) float32: added to A and B, bilinear on a grid, constant beyond it
+    # ``local_start_px``, ``local_step_px``: Position of the grid's first column and row, and its pitch.
     local_start_px: float
     local_step_px: float
+    # (6, h, w) float32: AA, AB, A delta, BB, B delta, delta delta, bilinear between nodes evenly spaced over the frame.
     covariance: np.ndarray
 
 
 @dataclass(frozen=True)
 class DepthField:
-    """The depth curve of every image position.
+    """The depth curve of every image position."""
 
-    Attributes
-    ----------
-    infinity_disparity_px, scale_px_mm : (N,) float64
-        Coefficients of A (px) and B (px mm): products of Chebyshev polynomials in x and y over [-1, 1] of total
-        degree up to n, ordered by the degree in x, then in y; N = (n + 1)(n + 2) / 2. One number is a constant field.
-    sensor_to_pupil_mm : float
-        delta, the same in the whole frame.
-    covariance : (3, 3), (2 N + 1, 2 N + 1) or (2 N + 1 + K, 2 N + 1 + K) float64
-        Of A, B, delta in the middle of the frame; or of all coefficients in the order A, B, delta, and the
-        nonlinearity where it was fitted with them.
-    nonlinearity : Nonlinearity, optional
-        From the linear disparity of this curve to the measured one; K coefficients.
-    local : LocalField, optional
-        Corrections to the polynomials, independent at every point of a grid.
-    """
-
+    # ``infinity_disparity_px``, ``scale_px_mm``: (N,) float64: coefficients of A (px) and B (px mm): products of
+    # Chebyshev polynomials in x and y over [-1, 1] of total degree up to n, ordered by the degree in x, then in y; N =
+    # (n + 1)(n + 2) / 2. One number is a constant field.
     infinity_disparity_px: np.ndarray
     scale_px_mm: np.ndarray
-    sensor_to_pupil_mm: float
+    sensor_to_pupil_mm: float  # delta, the same in the whole frame
+    # (3, 3), (2 N + 1, 2 N + 1) or (2 N + 1 + K, 2 N + 1 + K) float64: of A, B, delta in the middle of the frame; or of
+    # all coefficients in the order A, B, delta, and the nonlinearity where it was fitted with them.
     covariance: np.ndarray
+    # From the linear disparity of this curve to the measured one; K coefficients.
     nonlinearity: Nonlinearity | None = None
-    local: LocalField | None = None
+    local: LocalField | None = None  # corrections to the polynomials, independent at every point of a grid
 
     @classmethod
     def constant(cls, model: DepthModel) -> DepthField:
@@ -143,12 +123,8 @@ class DepthField:
     def model(self, width_px: int, height_px: int, rows: slice | None = None) -> DepthModel:
         """Evaluate the fields: (height, width) maps, or numbers where the fields are constant.
 
-        Parameters
-        ----------
-        width_px, height_px : int
-            Of the frame.
-        rows : slice, optional
-            Of a band of the frame, from ``start`` to before ``stop``: the maps are of its rows only.
+        ``width_px``, ``height_px``: of the frame; ``rows``: of a band of the frame, from ``start`` to before ``stop``:
+        the maps are of its rows only.
         """
         if len(self.scale_px_mm) == 1:
             return self.on_axis(width_px, height_px)

@@ -18,15 +18,8 @@ def field_to_depth(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute depth and its standard deviation in mm, as `disparity_to_depth` with the curves of the whole frame.
 
-    Parameters
-    ----------
-    disparity_px, sigma_px : (H, W) float32, px
-    field : DepthField
-    max_depth_mm : float, mm from the sensor
-
-    Returns
-    -------
-    depth_mm, sigma_mm : (H, W) float32; NaN unknown
+    ``disparity_px``, ``sigma_px`` (H, W) float32, px; ``max_depth_mm`` float, mm from the sensor. Returns ``depth_mm,
+    sigma_mm`` (H, W) float32; NaN unknown.
     """
     height, width = disparity_px.shape
     step = height if len(field.scale_px_mm) == 1 else max(1, _BAND_PX // width)

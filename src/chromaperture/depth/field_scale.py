@@ -17,11 +17,7 @@ def resized_field(field: DepthField, before_px: tuple[int, int], after_px: tuple
     Disparities count px of the picture's width. Polynomials over the frame are of the centres of its outermost pixels,
     which move when pixels grow: the polynomials are expanded anew, exactly.
 
-    Parameters
-    ----------
-    field : DepthField
-    before_px, after_px : (int, int)
-        Width and height, px.
+    ``before_px``, ``after_px`` (int, int): width and height, px.
     """
     factor = before_px[0] / after_px[0]  # px before in a px after
     shares = [_share(before, after) for before, after in zip(before_px, after_px, strict=True)]

@@ -17,16 +17,8 @@ def with_scale_error(field: DepthField, relative: float) -> DepthField:
     covariance grows by ``relative^2 c c^T``, c being the coefficients of both. The standard deviation of the disparity
     d grows to hypot(sigma, relative |d|), in focus not at all.
 
-    Parameters
-    ----------
-    field : DepthField
-    relative : float
-        One standard deviation of the factor; 0 changes nothing.
-
-    Raises
-    ------
-    InputError
-        It is negative or not finite.
+    ``relative``: one standard deviation of the factor; 0 changes nothing. Raises InputError: it is negative or not
+    finite.
     """
     if not (np.isfinite(relative) and relative >= 0):
         raise InputError(f"the relative error of the disparity must be 0 or more, got {relative:g}")

@@ -77,11 +77,8 @@ class Nonlinearity:
     def errors(self, linear_px: np.ndarray | float, covariance: np.ndarray) -> np.ndarray:
         """Return the variance of h at disparities and its covariance with A, B and delta; (..., 4).
 
-        Parameters
-        ----------
-        linear_px : (...) float, px
-        covariance : (K, 3 + K) float
-            Of the coefficients with A, B and delta, and with one another.
+        ``linear_px`` (...) float, px; ``covariance`` (K, 3 + K) float: of the coefficients with A, B and delta, and
+        with one another.
         """
         terms = chebyshev.chebvander(self._scaled(np.asarray(linear_px, float)), len(self.coefficients) + 1)[..., 2:]
         with_others, own = terms @ covariance[:, :3], ((terms @ covariance[:, 3:]) * terms).sum(axis=-1)

@@ -35,10 +35,7 @@ class PaperParameters:
 def paper_to_model(parameters: PaperParameters, *, pixel_pitch_mm: float) -> DepthModel:
     """Return A, B and delta, exactly known.
 
-    Raises
-    ------
-    InputError
-        The focus surface is closer to the entrance pupil than the focal length.
+    Raises InputError: the focus surface is closer to the entrance pupil than the focal length.
     """
     z_focus = np.asarray(parameters.in_focus_mm, float) - parameters.sensor_to_pupil_mm
     shrink = 1 - parameters.focal_length_mm / z_focus  # f / F, Eq. (2); 1 for focus at infinity
@@ -54,12 +51,7 @@ def paper_to_model(parameters: PaperParameters, *, pixel_pitch_mm: float) -> Dep
 def model_to_paper(model: DepthModel, *, image_distance_mm: float, pixel_pitch_mm: float) -> PaperParameters:
     """Return the paper's parameters of a depth curve.
 
-    Parameters
-    ----------
-    model : DepthModel
-    image_distance_mm : float
-        F, from the pinhole calibration: focal length in px times the pixel pitch.
-    pixel_pitch_mm : float
+    ``image_distance_mm``: F, from the pinhole calibration: focal length in px times the pixel pitch.
     """
     z_focus = focus_from_pupil(model.infinity_disparity_px, model.scale_px_mm)
     return PaperParameters(

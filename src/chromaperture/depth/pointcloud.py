@@ -40,20 +40,10 @@ def depth_to_points(
 ) -> PointCloud:
     """Back-project every pixel of known depth.
 
-    Parameters
-    ----------
-    depth_mm : (H, W) float, mm from the sensor plane, NaN unknown
-    color : (H, W, 3) float, linear RGB, or uint8, sRGB
-    camera_matrix : (3, 3) float, px
-    distortion : (5,) float
-        OpenCV's k1, k2, p1, p2, k3.
-    sensor_to_pupil_mm : float
-        delta; Z = depth - delta, from the entrance pupil.
-
-    Returns
-    -------
-    PointCloud
-        In the order of the pixels, row by row.
+    ``depth_mm`` (H, W) float, mm from the sensor plane, NaN unknown; ``color`` (H, W, 3) float, linear RGB, or uint8,
+    sRGB; ``camera_matrix`` (3, 3) float, px; ``distortion`` (5,) float: OpenCV's k1, k2, p1, p2, k3;
+    ``sensor_to_pupil_mm``: delta; Z = depth - delta, from the entrance pupil. Returns in the order of the pixels, row
+    by row.
     """
     depth = np.ascontiguousarray(depth_mm, np.float32)
     before = _points_above(depth)
@@ -74,13 +64,8 @@ def depth_to_points(
 def grid_of_rays(shape: tuple[int, ...], matrix: np.ndarray, distortion: np.ndarray) -> np.ndarray:
     """Return x and y at Z = 1 of every `RAY_PITCH_PX`-th pixel, and of one beyond the last; (h, w, 2) float64.
 
-    Parameters
-    ----------
-    shape : (H, W)
-        Of the picture.
-    matrix : (3, 3) float, px
-    distortion : (5,) float
-        OpenCV's k1, k2, p1, p2, k3.
+    ``shape`` (H, W): of the picture; ``matrix`` (3, 3) float, px; ``distortion`` (5,) float: OpenCV's k1, k2, p1, p2,
+    k3.
     """
     down, across = (np.arange(0, side + RAY_PITCH_PX, RAY_PITCH_PX, dtype=float) for side in shape)
     pixels = np.stack(np.meshgrid(across, down), axis=-1)

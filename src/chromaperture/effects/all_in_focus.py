@@ -34,21 +34,12 @@ _GRADIENT_FLOOR = 0.02  # squared gradient, of its mean, below which the prior i
 
 @dataclass(frozen=True)
 class SharpenConfig:
-    """Settings of the restoration; chosen by hand unless a measurement is stated.
+    """Settings of the restoration; chosen by hand unless a measurement is stated."""
 
-    Attributes
-    ----------
-    model_error : float
-        Error of the blur model as a fraction of the local contrast: kernels are never known exactly.
-    kernel_error : float
-        Error of the transfer functions; docs/colour.md shows which fit which design.
-    reweightings : int
-        Outer rounds; 0 return the layered Wiener estimate.
-    """
-
+    # Error of the blur model as a fraction of the local contrast: kernels are never known exactly.
     model_error: float = 0.25
-    kernel_error: float = 0.15
-    reweightings: int = 3
+    kernel_error: float = 0.15  # error of the transfer functions; docs/colour.md shows which fit which design
+    reweightings: int = 3  # outer rounds; 0 return the layered Wiener estimate
 
 
 def all_in_focus(
@@ -165,13 +156,7 @@ def certainty(radius_px: np.ndarray, sigma_px: np.ndarray | None) -> np.ndarray:
 def colour_lines(guide: np.ndarray, *, sigma_px: float) -> tuple[np.ndarray, float]:
     """Return the inverse covariance of the channels' differences around every pixel, and their mean square.
 
-    Parameters
-    ----------
-    guide : (3, H, W) float32
-
-    Returns
-    -------
-    (3, 3, H, W) float32, of unit mean variance; float, (white level)^2
+    ``guide`` (3, H, W) float32. Returns (3, 3, H, W) float32, of unit mean variance; float, (white level)^2.
     """
     steps = [[cv2.GaussianBlur(p, (0, 0), 0.7) for p in d] for d in _differences(guide)]
     covariance = np.empty((3, 3, *guide.shape[1:]), np.float64)

@@ -24,17 +24,8 @@ def background_weight(radius_px: np.ndarray, focus_radius_px: float) -> np.ndarr
 def desaturate_background(color: np.ndarray, radius_px: np.ndarray, focus_radius_px: float) -> np.ndarray:
     """Turn the background grey at its own luminance.
 
-    Parameters
-    ----------
-    color : (H, W, 3) float32, linear RGB
-    radius_px : (H, W) float32, px
-        Signed blur radius of the capture, + beyond its focus.
-    focus_radius_px : float
-        That of the surface that keeps its colour.
-
-    Returns
-    -------
-    (H, W, 3) float32
+    ``color`` (H, W, 3) float32, linear RGB; ``radius_px`` (H, W) float32, px: signed blur radius of the capture, +
+    beyond its focus; ``focus_radius_px``: that of the surface that keeps its colour. Returns (H, W, 3) float32.
     """
     grey = (color @ _LUMINANCE)[..., None]
     weight = background_weight(radius_px, focus_radius_px)[..., None]

@@ -14,15 +14,8 @@ _STEP_PX, _GROWTH = 0.5, 0.10
 def layer_radii(radius_px: np.ndarray, *, growth: float = _GROWTH) -> np.ndarray:
     """Choose blur radii that cover the range of a picture, fine near focus and coarser beyond.
 
-    Parameters
-    ----------
-    radius_px : (H, W) float32, px, no NaN
-    growth : float
-        Distance of two layers, of their radius; at least half a px.
-
-    Returns
-    -------
-    (L,) float64, px, rising; one of them is 0 unless the whole picture lies on one side of focus
+    ``radius_px`` (H, W) float32, px, no NaN; ``growth``: distance of two layers, of their radius; at least half a px.
+    Returns (L,) float64, px, rising; one of them is 0 unless the whole picture lies on one side of focus.
     """
     low, high = float(radius_px.min()), float(radius_px.max())
     sides = []

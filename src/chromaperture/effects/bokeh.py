@@ -19,19 +19,9 @@ _BLACK = 0.02  # linear light of the brightest pixel below which a picture count
 def bokeh_mask(name: str) -> np.ndarray:
     """Return the transmission of the pupil used for refocusing.
 
-    Parameters
-    ----------
-    name : str
-        ``disc``, ``hex``, or the path of a picture file, light on dark; its alpha channel multiplies the light.
-
-    Returns
-    -------
-    (256, 256) float32 in [0, 1] over [-1, 1]^2 in pupil radii
-
-    Raises
-    ------
-    InputError
-        No such shape or file, or the picture is black.
+    ``name``: ``disc``, ``hex``, or the path of a picture file, light on dark; its alpha channel multiplies the light.
+    Returns (256, 256) float32 in [0, 1] over [-1, 1]^2 in pupil radii. Raises InputError: no such shape or file, or the
+    picture is black.
     """
     axis = (np.arange(_GRID, dtype=np.float32) + 0.5) * 2 / _GRID - 1
     x, y = np.meshgrid(axis, axis)
@@ -64,12 +54,8 @@ def _from_picture(path: Path) -> np.ndarray:
 def bokeh_kernel(mask: np.ndarray, radius_px: float) -> np.ndarray:
     """Return the pupil scaled to a blur radius; (s, s) float32, unit sum, s odd.
 
-    Parameters
-    ----------
-    mask : (n, n) float32
-        From `bokeh_mask`.
-    radius_px : float
-        Signed: upright beyond the focus, rotated by 180 degrees in front of it.
+    ``mask`` (n, n) float32: from `bokeh_mask`; ``radius_px``: signed: upright beyond the focus, rotated by 180 degrees
+    in front of it.
     """
     return _kernel(mask.tobytes(), mask.shape[0], round(float(radius_px), 3))
 

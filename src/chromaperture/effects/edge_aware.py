@@ -29,23 +29,10 @@ def filter_disparity(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fill and smooth a disparity map along the surfaces of the picture.
 
-    Parameters
-    ----------
-    disparity_px : (H, W) float, px; NaN unknown
-    sigma_px : (H, W) float, px, or None
-        Its standard deviation; equal for all where None.
-    guide : (H, W, 3) float, linear RGB, channels aligned
-
-    Returns
-    -------
-    disparity_px : (H, W) float32, no NaN
-    scatter_px : (H, W) float32
-        Standard deviation of the disparities averaged into each value; large where two depths compete.
-
-    Raises
-    ------
-    InputError
-        The disparity is unknown everywhere, or the sizes differ.
+    ``disparity_px`` (H, W) float, px; NaN unknown; ``sigma_px`` (H, W) float, px, or None: its standard deviation;
+    equal for all where None; ``guide`` (H, W, 3) float, linear RGB, channels aligned. Returns ``disparity_px`` (H, W)
+    float32, no NaN; ``scatter_px`` (H, W) float32: standard deviation of the disparities averaged into each value;
+    large where two depths compete. Raises InputError: the disparity is unknown everywhere, or the sizes differ.
     """
     d = np.asarray(disparity_px, np.float32)
     if guide.shape[:2] != d.shape:

@@ -24,19 +24,8 @@ def sweep(
 ) -> Iterator[np.ndarray]:
     """Yield pictures focused from near to far.
 
-    Parameters
-    ----------
-    color, radius_px
-        As `refocus` takes them.
-    focus : Focus
-        Pupil and strength; its focus is replaced.
-    frames : int
-    compositor : callable, optional
-        As `refocus` takes it.
-
-    Yields
-    ------
-    (H, W, 3) uint8, sRGB
+    ``color``, ``radius_px``: as `refocus` takes them; ``focus``: pupil and strength; its focus is replaced;
+    ``compositor``: as `refocus` takes it. Yields (H, W, 3) uint8, sRGB.
     """
     if frames < 2:
         raise InputError(f"a sweep needs at least 2 frames, got {frames}")

@@ -35,11 +35,7 @@ def blurred_layers(
 class LayeredModel:
     """Blur of one picture by its depth.
 
-    Parameters
-    ----------
-    radius_px : (H, W) float32
-        Signed blur radius of every pixel; no NaN.
-    blur : Blur
+    ``radius_px`` (H, W) float32: signed blur radius of every pixel; no NaN.
     """
 
     def __init__(self, radius_px: np.ndarray, blur: Blur) -> None:

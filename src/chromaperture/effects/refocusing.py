@@ -40,21 +40,11 @@ _TILE_PX, _DEVICE_TILE_PX = 1024, 2048
 
 @dataclass(frozen=True)
 class Focus:
-    """Focus and pupil of the new picture.
+    """Focus and pupil of the new picture."""
 
-    Attributes
-    ----------
-    radius_px : float
-        Blur radius that the capture has on the new focus surface.
-    strength : float
-        Diameter of the new pupil in units of the camera's own: its f-number over the new one.
-    bokeh : str
-        Shape of the pupil, see `bokeh_mask`.
-    """
-
-    radius_px: float
-    strength: float = 1.0
-    bokeh: str = "disc"
+    radius_px: float  # blur radius that the capture has on the new focus surface
+    strength: float = 1.0  # diameter of the new pupil in units of the camera's own: its f-number over the new one
+    bokeh: str = "disc"  # shape of the pupil, see `bokeh_mask`
 
 
 # Blurs and adds layers on a device, as `_composite`; None where that is left to the CPU.

@@ -13,17 +13,9 @@ Restorer = Callable[[tuple[slice, slice], tuple[float, float]], np.ndarray]
 def by_tiles(shape: tuple[int, int], restore: Restorer, *, tile_px: int, overlap_px: int) -> np.ndarray:
     """Restore tile by tile and blend the overlaps.
 
-    Parameters
-    ----------
-    shape : (int, int)
-    restore : callable
-        Called with a tile and the frame position of its centre, (x, y) from -1 to 1; returns (h, w, 3).
-    tile_px, overlap_px : int
-        Over a tile the blur counts as constant; the overlap should be as wide as its kernel.
-
-    Returns
-    -------
-    (H, W, 3) float32
+    ``shape`` (int, int); ``restore``: called with a tile and the frame position of its centre, (x, y) from -1 to 1;
+    returns (h, w, 3); ``tile_px``, ``overlap_px``: over a tile the blur counts as constant; the overlap should be as
+    wide as its kernel. Returns (H, W, 3) float32.
     """
     total, weights = np.zeros((*shape, 3), np.float32), np.zeros((*shape, 1), np.float32)
     for rows, columns in _tiles(shape, tile_px, overlap_px):

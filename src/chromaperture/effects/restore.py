@@ -70,28 +70,12 @@ def restore(
 ) -> SharpPicture:
     """Align the channels, remove the filters' tint, and sharpen what was out of focus.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float, linear RGB, 1.0 = white level
-    disparity_px : (H, W) float, px; NaN is filled along the picture's surfaces
-        As this camera measured it.
-    camera : CodedApertureCamera
-    sigma_px : (H, W) float, px, optional
-        Standard deviation of the disparity.
-    sharpness : "aligned", "fast" or "full"
-        Keep the blur; a Wiener filter for each layer; a joint solution of all layers and channels.
-    blur : Blur, optional
-        The camera's transfer functions; when absent those of its calibrated blur, or else of its aperture in front of
-        a thin lens.
-
-    Returns
-    -------
-    SharpPicture
-
-    Raises
-    ------
-    InputError
-        The disparity is of another photograph or unknown everywhere, or the sharpness is unknown.
+    ``image`` (H, W, 3) float, linear RGB, 1.0 = white level; ``disparity_px`` (H, W) float, px; NaN is filled along the
+    picture's surfaces: as this camera measured it; ``sigma_px`` (H, W) float, px: standard deviation of the disparity;
+    ``sharpness`` "aligned", "fast" or "full": keep the blur; a Wiener filter for each layer; a joint solution of all
+    layers and channels; ``blur``: the camera's transfer functions; when absent those of its calibrated blur, or else of
+    its aperture in front of a thin lens. Raises InputError: the disparity is of another photograph or unknown
+    everywhere, or the sharpness is unknown.
     """
     if sharpness not in SHARPNESS:
         raise InputError(f"unknown sharpness {sharpness!r}: choose {', '.join(SHARPNESS)}")
@@ -205,10 +189,7 @@ def white_gains(calibration: Calibration) -> np.ndarray:
 def focus_radius(camera: CodedApertureCamera, focus_mm: float) -> float:
     """Return the blur radius, px, on the axis of an object at a distance from the sensor plane.
 
-    Raises
-    ------
-    InputError
-        The camera was never calibrated, or the distance lies behind its entrance pupil.
+    Raises InputError: the camera was never calibrated, or the distance lies behind its entrance pupil.
     """
     cal, quality = camera.calibration, camera.config.quality
     model = cal.on_axis(quality)

@@ -18,9 +18,7 @@ _MAX_LOSS = 0.03  # of correlation. On bench50 a scene's own disparity gains 0.0
 def channel_agreement(color: np.ndarray) -> float:
     """Return the local correlation of the channels, whatever its sign, weighted by their contrast; 0 to 1.
 
-    Parameters
-    ----------
-    color : (H, W, 3) float32, linear RGB
+    ``color`` (H, W, 3) float32, linear RGB.
     """
     correlated = contrast = 0.0
     for band in _bands(*color.shape[:2]):
@@ -44,15 +42,8 @@ def _bands(height: int, width: int) -> list[slice]:
 def check_same_photograph(image: np.ndarray, aligned: np.ndarray) -> None:
     """Reject a disparity that moves the channels farther apart.
 
-    Parameters
-    ----------
-    image, aligned : (H, W, 3) float32, linear RGB
-        Channels as captured, and moved by the disparity.
-
-    Raises
-    ------
-    InputError
-        The channels correlate clearly less once they are aligned.
+    ``image``, ``aligned`` (H, W, 3) float32, linear RGB: channels as captured, and moved by the disparity. Raises
+    InputError: the channels correlate clearly less once they are aligned.
     """
     if channel_agreement(aligned) < channel_agreement(image) - _MAX_LOSS:
         raise InputError(

@@ -30,18 +30,9 @@ class Blur(Protocol):
     def __call__(self, radius_px: float, shape: Size, *, frame_position: Position | None = None) -> np.ndarray:
         """Return the transfer functions at the frequencies of `numpy.fft.rfft2`.
 
-        Parameters
-        ----------
-        radius_px : float
-            Signed displacement of the pupil's rim, + beyond focus.
-        shape : (int, int)
-            Size of the picture it multiplies.
-        frame_position : (x, y), optional
-            -1 to 1 from border to border; the middle when absent.
-
-        Returns
-        -------
-        (3, h, w // 2 + 1) complex64, with phases relative to the view of the pupil's centre
+        ``radius_px``: signed displacement of the pupil's rim, + beyond focus; ``shape`` (int, int): size of the picture
+        it multiplies; ``frame_position`` (x, y): -1 to 1 from border to border; the middle when absent. Returns (3, h,
+        w // 2 + 1) complex64, with phases relative to the view of the pupil's centre.
         """
         ...
 

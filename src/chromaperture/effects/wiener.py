@@ -28,9 +28,7 @@ _UNCORRELATED = 0.02  # variance of a channel that no other has, of the mean var
 def colour_covariance(image: np.ndarray) -> np.ndarray:
     """Return the covariance of the channels' fine structure, unit mean variance; (3, 3) float64.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear RGB, channels aligned
+    ``image`` (H, W, 3) float32, linear RGB, channels aligned.
     """
     smooth = cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), 1.5)
     detail = (smooth - cv2.GaussianBlur(smooth, (0, 0), 4.0)).reshape(-1, 3).astype(float)
@@ -55,18 +53,9 @@ def joint_filter(
 ) -> np.ndarray:
     """Estimate the sharp spectra of three channels from blurred ones.
 
-    Parameters
-    ----------
-    spectra, otf : (3, h, w) complex
-    noise_variance : (3,) or (3, h, w) float
-    signal : (h, w) float
-        S: power of the sharp picture per frequency.
-    colour : (3, 3) float
-        C: covariance of its channels.
-
-    Returns
-    -------
-    (3, h, w) complex64
+    ``spectra``, ``otf`` (3, h, w) complex; ``noise_variance`` (3,) or (3, h, w) float; ``signal`` (h, w) float: S:
+    power of the sharp picture per frequency; ``colour`` (3, 3) float: C: covariance of its channels. Returns (3, h, w)
+    complex64.
     """
     inverse = np.linalg.inv(colour)
     noise = np.asarray(noise_variance, float)
@@ -109,22 +98,10 @@ def sharpen_layers(
 ) -> np.ndarray:
     """Deconvolve a picture layer by layer, and compose the layers by their weights.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear RGB, as captured but white balanced
-    radius_px : (H, W) float32
-        Signed blur radius, no NaN.
-    blur : Blur
-    noise_variance : (3,) float
-    colour : (3, 3) float
-        From `colour_covariance`.
-    kernel_error : float
-        Error of the transfer functions where they are far from 1. It counts as noise of the picture's own spectrum,
-        and prevents ringing at frequencies where all channels have their zeros.
-
-    Returns
-    -------
-    (H, W, 3) float32
+    ``image`` (H, W, 3) float32, linear RGB, as captured but white balanced; ``radius_px`` (H, W) float32: signed blur
+    radius, no NaN; ``noise_variance`` (3,) float; ``colour`` (3, 3) float: from `colour_covariance`; ``kernel_error``:
+    error of the transfer functions where they are far from 1. It counts as noise of the picture's own spectrum, and
+    prevents ringing at frequencies where all channels have their zeros. Returns (H, W, 3) float32.
     """
     pad, size = padded_size(radius_px.shape, radius_px)
     mean = image.mean(axis=(0, 1))
@@ -153,14 +130,7 @@ def extrapolated(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
     Push-pull (Gortler et al. 1996): known pixels are averaged down a pyramid; on the way up unknown pixels take the
     colour of the coarser level.
 
-    Parameters
-    ----------
-    picture : (H, W, 3) float32
-    known : (H, W) bool
-
-    Returns
-    -------
-    (H, W, 3) float32
+    ``picture`` (H, W, 3) float32; ``known`` (H, W) bool. Returns (H, W, 3) float32.
     """
     if known.all():
         return picture

@@ -36,17 +36,8 @@ def with_accurate_noise(
 ) -> CalibrationResult:
     """Measure a few boards at quality ``accurate``.
 
-    Parameters
-    ----------
-    result : CalibrationResult
-    most_megapixels : float
-        Larger photographs, all boards together, are left out: they would take minutes.
-    progress : callable, optional
-
-    Returns
-    -------
-    CalibrationResult
-        With ``pixel_sigma_px["accurate"]``, NaN for the other boards and those that cannot be measured; or unchanged.
+    ``most_megapixels``: larger photographs, all boards together, are left out: they would take minutes. Returns with
+    ``pixel_sigma_px["accurate"]``, NaN for the other boards and those that cannot be measured; or unchanged.
     """
     calibration = result.calibration
     width, height = calibration.sensor.width_px, calibration.sensor.height_px

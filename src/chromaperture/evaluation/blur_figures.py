@@ -49,11 +49,8 @@ def _patches(blur: LensBlur, inverse_mm: float) -> np.ndarray:
 def layer_errors(result: CalibrationResult) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Compute the depth error of the best layer of every cell on every board; None without a blur.
 
-    Returns
-    -------
-    distance_mm : (N,) float64, from the sensor
-    by_blur, by_curve : (N, P) float64, per cent of the distance
-        By the fitted blur alone, and by the depth curve of quality accurate.
+    Returns ``distance_mm`` (N,) float64, from the sensor; ``by_blur, by_curve`` (N, P) float64, per cent of the
+    distance: by the fitted blur alone, and by the depth curve of quality accurate.
     """
     layers, blur = result.layers, result.calibration.field_blur()
     if layers is None or blur is None:

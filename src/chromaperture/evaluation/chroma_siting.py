@@ -28,24 +28,11 @@ _SHOWN_MM = 1000.0  # distance at which the error is told, where the camera's ra
 def check_siting(neutral: Path, coloured: Path, calibration: Calibration) -> Check:
     """Compare a neutral and a coloured print to find out where the chroma of a camera's files lies.
 
-    Parameters
-    ----------
-    neutral, coloured : Path
-        Photographs, or clips whose first frames are taken, of prints full of texture at the same place of the frame and
-        the same distance.
-    calibration : Calibration
-        With what is stated of the files, `with_stated`.
-
-    Returns
-    -------
-    Check
-        "ok" also for files without subsampled chroma. Figures: ``error_x_px``, ``error_y_px`` and their ``sigma_..``,
-        px of luma by which chroma lies beside its place; ``contrast``, Y/B - Y/R of the prints; ``windows``.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read, or the two are not of one format.
+    ``neutral``, ``coloured``: photographs, or clips whose first frames are taken, of prints full of texture at the same
+    place of the frame and the same distance; ``calibration``: with what is stated of the files, `with_stated`. Returns
+    "ok" also for files without subsampled chroma. Figures: ``error_x_px``, ``error_y_px`` and their ``sigma_..``, px of
+    luma by which chroma lies beside its place; ``contrast``, Y/B - Y/R of the prints; ``windows``. Raises InputError: a
+    file cannot be read, or the two are not of one format.
     """
     (first, form), (second, other) = (_read(path, calibration.sensor.encoding.stated) for path in (neutral, coloured))
     kinds = [(f.kind, f"{f.size_px[0]}x{f.size_px[1]} px", f.chroma, f.siting) for f in (form, other)]
@@ -70,11 +57,7 @@ def check_siting(neutral: Path, coloured: Path, calibration: Calibration) -> Che
 def siting_without_error(found: ChromaError, form: PictureFormat) -> Siting | None:
     """Return the siting by which files are read without error; None where none is, or it is not known.
 
-    Parameters
-    ----------
-    found : ChromaError
-    form : PictureFormat
-        With the siting that the files were read by.
+    ``form``: with the siting that the files were read by.
     """
     if (found.sigma_px <= _MOST_SIGMA_PX).all():
         for siting in (form.siting, *SITINGS):  # of those that are the same, as left and top-left of 4:2:2, the stated

@@ -22,43 +22,23 @@ _GRID, _DISTANCES = 33, 24  # a side, of positions in the frame, and distances; 
 
 @dataclass(frozen=True)
 class DepthComparison:
-    """Two maps of one size, B against A.
-
-    Attributes
-    ----------
-    a, b : StoredDepth
-    difference_mm, difference_percent : (H, W) float32
-        B - A, and the same of A; NaN where either is unknown.
-    in_sigmas : (H, W) float32, optional
-        B - A in units of the error bars that there are, combined as independent; None where there are none.
-    figures : dict
-        Of `chromaperture compare --json`.
-    """
+    """Two maps of one size, B against A."""
 
     a: StoredDepth
     b: StoredDepth
+    # ``difference_mm``, ``difference_percent``: (H, W) float32: B - A, and the same of A; NaN where either is unknown.
     difference_mm: np.ndarray
     difference_percent: np.ndarray
+    # (H, W) float32: B - A in units of the error bars that there are, combined as independent; None where there are
+    # none.
     in_sigmas: np.ndarray | None
-    figures: dict[str, Any]
+    figures: dict[str, Any]  # of `chromaperture compare --json`
 
 
 def compare_depth(a: StoredDepth, b: StoredDepth) -> DepthComparison:
     """Compare two depth maps of the same view; A is what shares and percentages refer to.
 
-    Parameters
-    ----------
-    a, b : StoredDepth
-        (H, W) each; depth in mm.
-
-    Returns
-    -------
-    DepthComparison
-
-    Raises
-    ------
-    InputError
-        Their sizes differ, or no pixel is known in both.
+    ``a``, ``b``: (H, W) each; depth in mm. Raises InputError: their sizes differ, or no pixel is known in both.
     """
     if a.depth_mm.shape != b.depth_mm.shape:
         sizes = " and ".join(f"{m.depth_mm.shape[1]}x{m.depth_mm.shape[0]}" for m in (a, b))
@@ -157,29 +137,16 @@ def _by_distance(
 
 @dataclass(frozen=True)
 class CameraComparison:
-    """Two cameras of one design: which depth B reads where A reads another.
+    """Two cameras of one design: which depth B reads where A reads another."""
 
-    Attributes
-    ----------
-    names : (str, str)
-    quality : str
-    distances_mm : (D,) float
-        As camera A has them, evenly in 1 / distance over the range of both.
-    difference_percent : (D, G, G) float
-        What B makes of A's disparity, less A's depth, % of it; over a grid of positions, corner to corner.
-    sigma_percent : (D, G, G) float
-        Error bar of the calibrations, both together.
-    aspect : float
-        Width of the frame over its height.
-    figures : dict
-    """
-
-    names: tuple[str, str]
+    names: tuple[str, str]  # (str, str)
     quality: str
-    distances_mm: np.ndarray
+    distances_mm: np.ndarray  # (D,) float: as camera A has them, evenly in 1 / distance over the range of both
+    # (D, G, G) float: what B makes of A's disparity, less A's depth, % of it; over a grid of positions, corner to
+    # corner.
     difference_percent: np.ndarray
-    sigma_percent: np.ndarray
-    aspect: float
+    sigma_percent: np.ndarray  # (D, G, G) float: error bar of the calibrations, both together
+    aspect: float  # width of the frame over its height
     figures: dict[str, Any]
 
 
@@ -192,22 +159,9 @@ def compare_cameras(
 ) -> CameraComparison:
     """Compare what two camera files make of the same disparity, over the frame and over the distances of both.
 
-    Parameters
-    ----------
-    a, b : Calibration
-        Calibrated, of one design and one aspect; other pixels are scaled.
-    names : (str, str)
-    quality : str
-        Whose curves are compared.
-
-    Returns
-    -------
-    CameraComparison
-
-    Raises
-    ------
-    InputError
-        A camera without depth, other designs or aspects, or ranges without a common distance.
+    ``a``, ``b``: calibrated, of one design and one aspect; other pixels are scaled; ``names`` (str, str); ``quality``:
+    whose curves are compared. Raises InputError: a camera without depth, other designs or aspects, or ranges without a
+    common distance.
     """
     for name, camera in zip(names, (a, b), strict=True):
         if not camera.is_calibrated or quality not in camera.depth:

@@ -31,21 +31,9 @@ def plane_quality(
 ) -> PlaneQuality:
     """Measure the quality of the depth of a flat wall perpendicular to the axis.
 
-    Parameters
-    ----------
-    depth_mm : (H, W) float
-        From the sensor plane; NaN unknown.
-    truth_mm : float
-        Its distance from the sensor plane.
-    sensor_to_pupil_mm : float
-        delta.
-    scale_px_mm : float or (H, W)
-        B of ``d = A - B / (depth - delta)``.
-
-    Returns
-    -------
-    PlaneQuality
-        NaN where fewer than 12 pixels are known.
+    ``depth_mm`` (H, W) float: from the sensor plane; NaN unknown; ``truth_mm``: its distance from the sensor plane;
+    ``sensor_to_pupil_mm``: delta; ``scale_px_mm`` float or (H, W): B of ``d = A - B / (depth - delta)``. Returns NaN
+    where fewer than 12 pixels are known.
     """
     known = np.isfinite(depth_mm)
     fill = float(known.mean())

@@ -128,15 +128,8 @@ def draw_surfaces(result: CalibrationResult) -> Figure:
 def plane_residual(depth_mm: np.ndarray) -> tuple[np.ndarray, float]:
     """Subtract the best plane from a depth map, ignoring outliers.
 
-    Parameters
-    ----------
-    depth_mm : (h, w) float, NaN unknown
-
-    Returns
-    -------
-    residual_mm : (h, w) float64
-    rms_mm : float
-        Of the residual within four robust standard deviations: single wrong pixels are the matcher's, not the field's.
+    ``depth_mm`` (h, w) float, NaN unknown. Returns ``residual_mm`` (h, w) float64; ``rms_mm`` of the residual within
+    four robust standard deviations: single wrong pixels are the matcher's, not the field's.
     """
     y, x = np.mgrid[: depth_mm.shape[0], : depth_mm.shape[1]]
     known = np.isfinite(depth_mm)

@@ -54,23 +54,13 @@ _LEAST_MEASURED = 0.25  # fraction of the board's pixels that must have a dispar
 
 @dataclass(frozen=True)
 class Check:
-    """One test of the camera.
-
-    Attributes
-    ----------
-    finding : str
-        One sentence with the measured values.
-    advice : str
-        The remedy; empty when none is needed.
-    figures : dict of str to float
-        The measured values, units in their names.
-    """
+    """One test of the camera."""
 
     name: str
     verdict: Verdict
-    finding: str
-    advice: str = ""
-    figures: dict[str, float] = field(default_factory=dict)
+    finding: str  # one sentence with the measured values
+    advice: str = ""  # the remedy; empty when none is needed
+    figures: dict[str, float] = field(default_factory=dict)  # the measured values, units in their names
 
 
 def check_camera(
@@ -78,18 +68,9 @@ def check_camera(
 ) -> list[Check]:
     """Compare one photograph with the calibration.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float, linear RGB, 1.0 = white level
-    board : Board, optional
-        The chessboard to look for; by default that of the calibration.
-    exif : Exif, optional
-        Settings that the camera wrote into the file.
-
-    Raises
-    ------
-    InputError
-        The image is not RGB, or the camera was never calibrated.
+    ``image`` (H, W, 3) float, linear RGB, 1.0 = white level; ``board``: the chessboard to look for; by default that of
+    the calibration; ``exif``: settings that the camera wrote into the file. Raises InputError: the image is not RGB, or
+    the camera was never calibrated.
     """
     image = checked_image(image)
     if not calibration.is_calibrated:

@@ -31,13 +31,7 @@ class Tint:
 def measure_tint(image: np.ndarray) -> Tint | None:
     """Fit a plane to the logarithms of the channel ratios over a grid of cells.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float, linear RGB
-
-    Returns
-    -------
-    Tint, or None where fewer than half of the cells can be used
+    ``image`` (H, W, 3) float, linear RGB. Returns Tint, or None where fewer than half of the cells can be used.
     """
     height, width = image.shape[:2]
     rows = np.array_split(np.arange(height), _CELLS[0])

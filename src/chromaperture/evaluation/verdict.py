@@ -130,16 +130,8 @@ def _accurate_errors(result: CalibrationResult) -> np.ndarray:
 def board_depth(result: CalibrationResult, index: int, *, corrected: bool = True) -> np.ndarray:
     """Compute the depth of a board on the grid.
 
-    Parameters
-    ----------
-    index : int
-        Of the board.
-    corrected : bool
-        By the fields over the frame; otherwise by the curve of the axis.
-
-    Returns
-    -------
-    (h, w) float64, mm from the sensor plane; NaN unknown
+    ``index``: of the board; ``corrected``: by the fields over the frame; otherwise by the curve of the axis. Returns
+    (h, w) float64, mm from the sensor plane; NaN unknown.
     """
     board, sensor, field = result.boards[index], result.calibration.sensor, result.calibration.depth[QUALITY]
     axis = field.on_axis(sensor.width_px, sensor.height_px)

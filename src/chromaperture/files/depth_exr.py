@@ -34,19 +34,9 @@ def write_exr(
     Z is in mm from the entrance pupil along the axis, as programs that composite take it; the units stand in the names
     of the other channels and in the header.
 
-    Parameters
-    ----------
-    path : str or Path
-    color : (H, W, 3) float, linear RGB
-    depth_mm, sigma_mm : (H, W) float, mm; depth from the sensor plane
-    confidence : (H, W) float in [0, 1]
-    camera_matrix : (3, 3) float, px
-    sensor_to_pupil_mm : float
-
-    Raises
-    ------
-    MissingDependencyError
-        The extra ``exr`` is not installed.
+    ``color`` (H, W, 3) float, linear RGB; ``depth_mm``, ``sigma_mm`` (H, W) float, mm; depth from the sensor plane;
+    ``confidence`` (H, W) float in [0, 1]; ``camera_matrix`` (3, 3) float, px. Raises MissingDependencyError: the extra
+    ``exr`` is not installed.
     """
     exr = openexr()
     z_mm = np.asarray(depth_mm, np.float32) - np.float32(sensor_to_pupil_mm)
@@ -71,16 +61,8 @@ def write_exr(
 def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Read depth from the sensor plane, its error bar (mm) and confidence of a file that `write_exr` wrote.
 
-    Returns
-    -------
-    (H, W) float32 each, NaN unknown
-
-    Raises
-    ------
-    MissingDependencyError
-        The extra ``exr`` is not installed.
-    InputError
-        The file is damaged, or another program's.
+    Returns (H, W) float32 each, NaN unknown. Raises MissingDependencyError: the extra ``exr`` is not installed. Raises
+    InputError: the file is damaged, or another program's.
     """
     exr, path = openexr(), Path(path)
     try:

@@ -20,16 +20,8 @@ _NEAR_M = 0.01  # where a viewer that looks through the camera begins; chosen by
 def glb_bytes(mesh: TexturedMesh, *, name: str = "photograph", quality: int = 92) -> bytes:
     """Return the content of a .glb file: metres, y up; the camera is at the origin and looks along -z, as glTF has it.
 
-    Parameters
-    ----------
-    mesh : TexturedMesh
-    name : str
-        Of the nodes.
-    quality : int
-        Of the JPEG texture.
+    ``name``: of the nodes; ``quality``: of the JPEG texture.
 
-    Notes
-    -----
     A camera of glTF looks through the middle of its picture: how far the optical axis is from there stands in the
     ``extras`` of the camera, with the whole matrix. The material is unlit: the photograph holds its light already.
     """

@@ -31,24 +31,14 @@ _DYNAMIC = "http://ns.google.com/photos/dd/1.0/"
 
 @dataclass(frozen=True)
 class EncodedDepth:
-    """A depth map as a grey picture.
+    """A depth map as a grey picture."""
 
-    Attributes
-    ----------
-    levels : (H, W) uint16
-        0 at ``near_mm``, 65535 at ``far_mm``; of unknown pixels that of the nearest known one.
-    confidence : (H, W) uint8
-        0 where the depth is unknown, else 1 to 255.
-    near_mm, far_mm : float
-    form : str
-        ``inverse``: even steps of 1 / depth; ``linear``: of depth.
-    """
-
+    # (H, W) uint16: 0 at ``near_mm``, 65535 at ``far_mm``; of unknown pixels that of the nearest known one.
     levels: np.ndarray
-    confidence: np.ndarray
+    confidence: np.ndarray  # (H, W) uint8: 0 where the depth is unknown, else 1 to 255
     near_mm: float
     far_mm: float
-    form: Form
+    form: Form  # ``inverse``: even steps of 1 / depth; ``linear``: of depth
 
 
 def encode_depth(z_mm: np.ndarray, confidence: np.ndarray, *, form: Form = "inverse") -> EncodedDepth:
@@ -56,16 +46,8 @@ def encode_depth(z_mm: np.ndarray, confidence: np.ndarray, *, form: Form = "inve
 
     Neither knows unknown pixels: they are given the depth of the nearest known pixel, and confidence 0.
 
-    Parameters
-    ----------
-    z_mm : (H, W) float, mm from the entrance pupil along the axis, NaN unknown
-    confidence : (H, W) float in [0, 1]
-    form : {"inverse", "linear"}
-
-    Raises
-    ------
-    InputError
-        No pixel is known, or the form is another one.
+    ``z_mm`` (H, W) float, mm from the entrance pupil along the axis, NaN unknown; ``confidence`` (H, W) float in [0,
+    1]; ``form`` {"inverse", "linear"}. Raises InputError: no pixel is known, or the form is another one.
     """
     if form not in _NAMES:
         raise InputError(f"unknown form of depth {form!r}: choose inverse or linear")
@@ -94,11 +76,8 @@ def encode_depth(z_mm: np.ndarray, confidence: np.ndarray, *, form: Form = "inve
 def gdepth_jpeg(color: np.ndarray, depth: EncodedDepth) -> bytes:
     """Return a JPEG photograph with GDepth metadata: depth in mm and confidence as PNG pictures in base64.
 
-    Parameters
-    ----------
-    color : (H, W, 3) uint8, sRGB
-    depth : EncodedDepth
-        Of the same view; distances along the optical axis from the entrance pupil.
+    ``color`` (H, W, 3) uint8, sRGB; ``depth``: of the same view; distances along the optical axis from the entrance
+    pupil.
     """
     values = {
         "Format": _NAMES[depth.form],
@@ -121,12 +100,8 @@ def gdepth_jpeg(color: np.ndarray, depth: EncodedDepth) -> bytes:
 def dynamic_depth_jpeg(color: np.ndarray, depth: EncodedDepth, *, camera_matrix: np.ndarray) -> bytes:
     """Return a JPEG photograph with Dynamic Depth: depth and confidence as PNG files behind it, distances in metres.
 
-    Parameters
-    ----------
-    color : (H, W, 3) uint8, sRGB
-    depth : EncodedDepth
-    camera_matrix : (3, 3) float, px
-        Written in px, as phones do; the distortion of the lens is left out.
+    ``color`` (H, W, 3) uint8, sRGB; ``camera_matrix`` (3, 3) float, px: written in px, as phones do; the distortion of
+    the lens is left out.
     """
     items = [("android/depthmap", encode_png(depth.levels)), ("android/confidencemap", encode_png(depth.confidence))]
     return with_xmp(_jpeg(color), {}, inner_xml=_dynamic_xml(color.shape, depth, camera_matrix, items)) + b"".join(

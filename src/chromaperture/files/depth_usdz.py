@@ -27,18 +27,8 @@ def usd() -> Any:
 def write_usdz(path: str | Path, mesh: TexturedMesh) -> None:
     """Write a package of geometry, texture and camera: metres, y up, the camera at the origin, looking along -z.
 
-    Parameters
-    ----------
-    path : str or Path
-        Ends in .usdz.
-    mesh : TexturedMesh
-
-    Raises
-    ------
-    MissingDependencyError
-        The extra ``usd`` is not installed.
-    InputError
-        OpenUSD could not write the package.
+    ``path``: ends in .usdz. Raises MissingDependencyError: the extra ``usd`` is not installed. Raises InputError:
+    OpenUSD could not write the package.
     """
     _, _, stages, geometry, _, utilities, _ = usd()
     with tempfile.TemporaryDirectory() as folder:

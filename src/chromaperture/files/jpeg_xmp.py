@@ -28,25 +28,9 @@ def with_xmp(
 ) -> bytes:
     """Insert a packet of metadata into a JPEG file.
 
-    Parameters
-    ----------
-    jpeg : bytes
-        Without XMP.
-    properties : mapping of (namespace, prefix, name) to str
-        Simple values.
-    inner_xml : str
-        Elements besides them, whose namespaces are declared in it.
-    large : set of Property
-        Which go into extended XMP where not all have room in one segment.
-
-    Returns
-    -------
-    bytes
-
-    Raises
-    ------
-    InputError
-        What cannot go into extended XMP does not fit into a segment.
+    ``jpeg``: without XMP; ``properties`` mapping of (namespace, prefix, name) to str: simple values; ``inner_xml``:
+    elements besides them, whose namespaces are declared in it; ``large``: which go into extended XMP where not all have
+    room in one segment. Raises InputError: what cannot go into extended XMP does not fit into a segment.
     """
     whole = _STANDARD + _packet(_description(properties, inner_xml)).encode("utf-8")
     segments = [whole]

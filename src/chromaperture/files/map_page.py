@@ -20,31 +20,17 @@ _JPEG = (cv2.IMWRITE_JPEG_QUALITY, 90)  # of pictures; chosen by hand
 
 @dataclass(frozen=True)
 class Panel:
-    """A map on a page.
-
-    Attributes
-    ----------
-    title : str
-    values : (H, W) float, NaN unknown
-    unit : str
-    low, high : float
-        Values of the first and the last colour.
-    colors : str
-        Name of a colour map, see `color_maps`.
-    digits : int
-        Of values, after the point.
-    note : str
-        A sentence below the map.
-    """
+    """A map on a page."""
 
     title: str
-    values: np.ndarray
+    values: np.ndarray  # (H, W) float, NaN unknown
     unit: str
+    # ``low``, ``high``: Values of the first and the last colour.
     low: float
     high: float
-    colors: str
-    digits: int = 0
-    note: str = ""
+    colors: str  # name of a colour map, see `color_maps`
+    digits: int = 0  # of values, after the point
+    note: str = ""  # a sentence below the map
 
 
 @dataclass(frozen=True)

@@ -17,26 +17,13 @@ _MOST_VERTICES = 1_000_000  # chosen by hand: 24 megapixels become every fifth c
 
 @dataclass(frozen=True)
 class TexturedMesh:
-    """Triangles in the camera frame: mm, origin at the entrance pupil, x right, y down, z forward.
+    """Triangles in the camera frame: mm, origin at the entrance pupil, x right, y down, z forward."""
 
-    Attributes
-    ----------
-    vertices_mm : (N, 3) float32
-    texture : (N, 2) float32
-        Place in the picture, 0 to 1 from its left and its upper edge.
-    triangles : (M, 3) uint32
-        Seen from the camera, corners go round against the clock.
-    picture : (H, W, 3) uint8
-        sRGB.
-    camera_matrix : (3, 3) float, px
-        Of the pinhole that saw it, distortion removed.
-    """
-
-    vertices_mm: np.ndarray
-    texture: np.ndarray
-    triangles: np.ndarray
-    picture: np.ndarray
-    camera_matrix: np.ndarray
+    vertices_mm: np.ndarray  # (N, 3) float32
+    texture: np.ndarray  # (N, 2) float32: place in the picture, 0 to 1 from its left and its upper edge
+    triangles: np.ndarray  # (M, 3) uint32: seen from the camera, corners go round against the clock
+    picture: np.ndarray  # (H, W, 3) uint8: sRGB
+    camera_matrix: np.ndarray  # (3, 3) float, px: of the pinhole that saw it, distortion removed
 
 
 def textured_mesh(
@@ -44,18 +31,9 @@ def textured_mesh(
 ) -> TexturedMesh:
     """Join neighbouring pixels to triangles where no edge of depth is between them.
 
-    Parameters
-    ----------
-    z_mm : (H, W) float, mm from the entrance pupil along the axis, NaN unknown
-    picture : (H, W, 3) uint8, sRGB
-    camera_matrix : (3, 3) float, px
-    distortion : (5,) float
-        OpenCV's k1, k2, p1, p2, k3; vertices are where the rays of the lens lead, the picture stays as it is.
-
-    Raises
-    ------
-    InputError
-        No two neighbouring pixels are known.
+    ``z_mm`` (H, W) float, mm from the entrance pupil along the axis, NaN unknown; ``picture`` (H, W, 3) uint8, sRGB;
+    ``camera_matrix`` (3, 3) float, px; ``distortion`` (5,) float: OpenCV's k1, k2, p1, p2, k3; vertices are where the
+    rays of the lens lead, the picture stays as it is. Raises InputError: no two neighbouring pixels are known.
     """
     height, width = z_mm.shape
     step = 1

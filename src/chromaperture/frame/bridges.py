@@ -14,10 +14,7 @@ from chromaperture.system.errors import MissingDependencyError
 def to_open3d(cloud: PointCloud) -> Any:
     """Convert points to ``open3d.geometry.PointCloud``: metres, colours 0 to 1; x right, y down, z forward.
 
-    Raises
-    ------
-    MissingDependencyError
-        The extra ``reconstruct`` is not installed.
+    Raises MissingDependencyError: the extra ``reconstruct`` is not installed.
     """
     try:
         import open3d
@@ -32,10 +29,7 @@ def to_open3d(cloud: PointCloud) -> Any:
 def to_xarray(frame: DepthFrame) -> Any:
     """Return the maps of a frame as ``xarray.Dataset``, which holds the arrays themselves, not copies.
 
-    Raises
-    ------
-    MissingDependencyError
-        The extra ``xarray`` is not installed.
+    Raises MissingDependencyError: the extra ``xarray`` is not installed.
     """
     try:
         import xarray

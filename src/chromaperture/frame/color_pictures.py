@@ -12,17 +12,10 @@ from chromaperture.frame.preview import preview_size, reduced_by_whole, whole_fa
 
 
 class ColorPictures(NamedTuple):
-    """What files have of a frame's colours.
+    """What files have of a frame's colours."""
 
-    Attributes
-    ----------
-    srgb : (H, W, 3) uint8
-    small : (h, w, 3) float32, linear RGB
-        Averages of whole pixels, not smaller than the preview.
-    """
-
-    srgb: np.ndarray
-    small: np.ndarray
+    srgb: np.ndarray  # (H, W, 3) uint8
+    small: np.ndarray  # (h, w, 3) float32, linear RGB: averages of whole pixels, not smaller than the preview
 
 
 def color_pictures(frame: DepthFrame) -> ColorPictures:

@@ -21,21 +21,11 @@ from chromaperture.system.threads import parallel_map
 
 @dataclass(frozen=True)
 class Output:
-    """One kind of file.
+    """One kind of file."""
 
-    Attributes
-    ----------
-    suffix : str
-        How its name ends.
-    needs_depth : bool
-        Whether it needs depth in mm.
-    by_default : bool
-        Whether it is written where nobody says what to write.
-    """
-
-    suffix: str
-    needs_depth: bool = False
-    by_default: bool = True
+    suffix: str  # how its name ends
+    needs_depth: bool = False  # whether it needs depth in mm
+    by_default: bool = True  # whether it is written where nobody says what to write
 
 
 OUTPUTS = {
@@ -59,20 +49,10 @@ OUTPUTS = {
 def chosen_outputs(write: str | Iterable[str] | None, *, is_calibrated: bool = True) -> tuple[str, ...]:
     """Check names of outputs; returns them in the order of `OUTPUTS`.
 
-    Parameters
-    ----------
-    write : str or iterable of str, optional
-        Names, in one text with commas between them or one by one; when None, all that the camera can give of those
-        written by default.
-    is_calibrated : bool
-        Whether the camera gives depth in mm.
-
-    Raises
-    ------
-    InputError
-        An unknown name, none, or one that needs depth in mm.
-    MissingDependencyError
-        An output needs an extra that is not installed.
+    ``write``: names, in one text with commas between them or one by one; when None, all that the camera can give of
+    those written by default; ``is_calibrated``: whether the camera gives depth in mm. Raises InputError: an unknown
+    name, none, or one that needs depth in mm. Raises MissingDependencyError: an output needs an extra that is not
+    installed.
     """
     possible = [name for name, output in OUTPUTS.items() if is_calibrated or not output.needs_depth]
     if write is None:
@@ -110,21 +90,10 @@ def write_maps(
 ) -> None:
     """Write the chosen files of a frame but its JSON, several at a time.
 
-    Parameters
-    ----------
-    target : callable
-        From a file's final name to the path to write to.
-    stem : str
-        What the names begin with.
-    frame : DepthFrame
-    outputs : iterable of str
-        From `chosen_outputs`.
-    max_relative_sigma : float
-        Largest sigma / depth of what carries no error bar; the TIFF and EXR files are whole.
-    title, caption : str
-        Of the preview.
-    depth_range_mm : (float, float), optional
-        Ends of the preview's colour bar.
+    ``target``: from a file's final name to the path to write to; ``stem``: what the names begin with; ``outputs``: from
+    `chosen_outputs`; ``max_relative_sigma``: largest sigma / depth of what carries no error bar; the TIFF and EXR files
+    are whole; ``title``, ``caption``: of the preview; ``depth_range_mm`` (float, float): ends of the preview's colour
+    bar.
     """
     wanted = set(outputs)
     nothing = np.empty(0, np.uint8)

@@ -33,11 +33,7 @@ def html(frame: DepthFrame) -> str:
 def camera_html(calibration: Calibration, quality: Quality) -> str:
     """Return the film in the pupil and a table of what the camera is, as HTML.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    quality : {"paper", "real-time", "accurate"}
-        Whose depth curve is shown.
+    ``quality`` {"paper", "real-time", "accurate"}: whose depth curve is shown.
     """
     lens, sensor = calibration.lens, calibration.sensor
     rows = [

@@ -15,22 +15,9 @@ from chromaperture.system.errors import InputError
 def write_format(name: str, path: Path, frame: DepthFrame, *, max_relative_sigma: float) -> None:
     """Write ``gdepth``, ``dynamic-depth``, ``exr``, ``glb`` or ``usdz`` of a frame.
 
-    Parameters
-    ----------
-    name : str
-        Of `OUTPUTS`.
-    path : Path
-    frame : DepthFrame
-        Of a calibrated camera.
-    max_relative_sigma : float
-        Largest sigma / depth of all but ``exr``, which is whole.
-
-    Raises
-    ------
-    InputError
-        The frame has no depth in mm, or nothing is left within the limit.
-    MissingDependencyError
-        The format's extra is not installed.
+    ``name``: of `OUTPUTS`; ``frame``: of a calibrated camera; ``max_relative_sigma``: largest sigma / depth of all but
+    ``exr``, which is whole. Raises InputError: the frame has no depth in mm, or nothing is left within the limit.
+    Raises MissingDependencyError: the format's extra is not installed.
     """
     if frame.calibration is None or frame.config is None or not frame.calibration.is_calibrated:
         raise InputError(f"{name} needs a frame of a calibrated camera; make one with 'chromaperture calibrate'")

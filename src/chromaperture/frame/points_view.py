@@ -21,21 +21,11 @@ _ROOM = 1.15  # about the points, chosen by hand
 
 @dataclass(frozen=True, repr=False)
 class PointsView:
-    """A page that shows points, and needs nothing else.
+    """A page that shows points, and needs nothing else."""
 
-    Attributes
-    ----------
-    page : str
-        HTML with the data inside; ``Path("points.html").write_text(view.page, encoding="utf-8")`` keeps it.
-    count : int
-        Points shown.
-    height_px : int
-        Height within a notebook.
-    """
-
-    page: str
-    count: int
-    height_px: int
+    page: str  # HTML with the data inside; ``Path("points.html").write_text(view.page, encoding="utf-8")`` keeps it
+    count: int  # points shown
+    height_px: int  # height within a notebook
 
     def __repr__(self) -> str:
         return f"PointsView({self.count} points)"
@@ -48,19 +38,8 @@ class PointsView:
 def points_view(cloud: PointCloud, *, most_points: int, height_px: int) -> PointsView:
     """Make a page of points with viser's client.
 
-    Parameters
-    ----------
-    cloud : PointCloud
-    most_points : int
-        Of more points, evenly chosen ones are shown.
-    height_px : int
-
-    Raises
-    ------
-    InputError
-        There is no point, or ``most_points`` is below 1.
-    MissingDependencyError
-        The extra ``viewer`` is not installed.
+    ``most_points``: of more points, evenly chosen ones are shown. Raises InputError: there is no point, or
+    ``most_points`` is below 1. Raises MissingDependencyError: the extra ``viewer`` is not installed.
     """
     try:
         import viser

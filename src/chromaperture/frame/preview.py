@@ -33,24 +33,14 @@ _TICKS = 7  # at most, on a colour bar
 
 @dataclass(frozen=True)
 class ColorScale:
-    """Colours of a map.
+    """Colours of a map."""
 
-    Attributes
-    ----------
-    low, high : float
-        Values of the first and the last colour.
-    colors : str
-        Of `color_maps`.
-    unit : str
-    open_below : bool
-        Whether values below ``low`` exist; those above ``high`` always may.
-    """
-
+    # ``low``, ``high``: Values of the first and the last colour.
     low: float
     high: float
-    colors: str
+    colors: str  # of `color_maps`
     unit: str
-    open_below: bool = True
+    open_below: bool = True  # whether values below ``low`` exist; those above ``high`` always may
 
     def picture(self, values: np.ndarray) -> np.ndarray:
         """Colour a map (H, W), NaN unknown; (H, W, 3) uint8 sRGB."""
@@ -145,17 +135,9 @@ def write_preview(
 
     It shows disparity instead of depth where the camera is not calibrated.
 
-    Parameters
-    ----------
-    path : Path
-    image : (H, W, 3) float or None
-        The capture, linear RGB, channels not aligned.
-    frame : DepthFrame
-    title, caption : str
-    depth_range_mm : (float, float), optional
-        Ends of the colour bar, to compare previews.
-    color : (h, w, 3) float32, optional
-        The frame's colours, reduced as `color_pictures` does it.
+    ``image`` (H, W, 3) float or None: the capture, linear RGB, channels not aligned; ``depth_range_mm`` (float, float):
+    ends of the colour bar, to compare previews; ``color`` (h, w, 3) float32: the frame's colours, reduced as
+    `color_pictures` does it.
     """
     size = preview_size((frame.color if color is None else frame.disparity_px).shape)
     width, height = size

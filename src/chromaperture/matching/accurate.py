@@ -72,43 +72,22 @@ class Evidence(Protocol):
 
 
 class PathSurface(NamedTuple):
-    """What paths through the volume leave of it.
+    """What paths through the volume leave of it."""
 
-    Attributes
-    ----------
-    label_px : (H, W) float32
-        Without NaN.
-    posterior : Posterior
-        Of the labels, px.
-    nats : (h, w, N) float32
-        Sums of the evidence over blocks of 4 px; empty of pictures that hold no 2 x 2 of them.
-    """
-
-    label_px: np.ndarray
-    posterior: Posterior
+    label_px: np.ndarray  # (H, W) float32: without NaN
+    posterior: Posterior  # of the labels, px
+    # (h, w, N) float32: sums of the evidence over blocks of 4 px; empty of pictures that hold no 2 x 2 of them.
     nats: np.ndarray
 
 
 @dataclass(frozen=True)
 class AccurateMethod:
-    """Find the surface of labels that explains the evidence of all pixels.
-
-    Attributes
-    ----------
-    config : AccurateConfig
-    space : ViewSpace
-        Its guide steers the penalties.
-    evidence : Evidence
-        `BlurEvidence` where the camera's blur is known, else `CorrelationEvidence`.
-    label_map : LabelMap
-        From labels to the disparities of every pixel.
-    run : Execution
-    """
+    """Find the surface of labels that explains the evidence of all pixels."""
 
     config: AccurateConfig
-    space: ViewSpace
-    evidence: Evidence
-    label_map: LabelMap
+    space: ViewSpace  # its guide steers the penalties
+    evidence: Evidence  # `BlurEvidence` where the camera's blur is known, else `CorrelationEvidence`
+    label_map: LabelMap  # from labels to the disparities of every pixel
     run: Execution
 
     def match(self, image: np.ndarray) -> Disparity:
@@ -155,19 +134,8 @@ def path_surface(
 ) -> PathSurface:
     """Find the surface of least cost along paths, the posterior of its labels, and the evidence of blocks.
 
-    Parameters
-    ----------
-    likelihood : (H, W, N) float, nats a pixel
-    guide : (H, W) float
-        Centre view, in units of ``guide_range``.
-    labels_px : (N,) float, px
-    config : AccurateConfig
-    run : Execution
-
-    Raises
-    ------
-    InputError
-        Shapes do not fit together.
+    ``likelihood`` (H, W, N) float, nats a pixel; ``guide`` (H, W) float: centre view, in units of ``guide_range``;
+    ``labels_px`` (N,) float, px. Raises InputError: shapes do not fit together.
     """
     if likelihood.ndim != 3 or likelihood.shape[:2] != guide.shape or likelihood.shape[2] != len(labels_px):
         raise InputError(
@@ -188,19 +156,8 @@ def explained_surface(
 ) -> Surface:
     """Explain the evidence of blocks by one surface, with its error bar.
 
-    Parameters
-    ----------
-    found : PathSurface
-    log_odds : (2, h, w) float32
-        As `depth_edges_of`.
-    labels_px : (N,) float, px
-    config : AccurateConfig
-    run : Execution
-
-    Returns
-    -------
-    Surface
-        The disparity is NaN where it is unknown and within half a layer of an end of the range.
+    ``log_odds`` (2, h, w) float32: as `depth_edges_of`; ``labels_px`` (N,) float, px. Returns the disparity is NaN
+    where it is unknown and within half a layer of an end of the range.
     """
     step, shape = float(labels_px[1] - labels_px[0]), found.label_px.shape
     certain_px = sigma_of_range(labels_px)

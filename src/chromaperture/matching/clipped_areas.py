@@ -16,17 +16,8 @@ def clipped_filled(image: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, n
     A clipped disc has its edge at the same place in channels whose light is displaced, and outweighs all texture.
     Single clipped pixels, as noise makes them in bright paper, miss little of their light and are left as they are.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear RGB
-    usable : (H, W) float32
-        1 or 0: `Views.mask`.
-
-    Returns
-    -------
-    image : (H, W, 3) float32
-    usable : (H, W) float32
-        0 in the grown areas, too.
+    ``image`` (H, W, 3) float32, linear RGB; ``usable`` (H, W) float32: 1 or 0: `Views.mask`. Returns ``image`` (H, W,
+    3) float32; ``usable`` (H, W) float32: 0 in the grown areas, too.
     """
     if usable.all():
         return image, usable

@@ -28,20 +28,9 @@ def peak_sigma(winner: Winner, config: PaperConfig, view_count: int, signal_frac
     ``2 / (N (ln D)'')``: for two views ``(1 - rho^2) / (N rho kappa)``, for three, with the
     score S = 1 - sqrt(D), ``(1 - S) / (N kappa)``. These are correlations of the views as they are, noise included.
 
-    Parameters
-    ----------
-    winner : Winner
-    config : PaperConfig
-        ``sigma_scale`` widens the bar.
-    view_count : int
-        2 or 3.
-    signal_fraction : (H, W) float32
-        Texture's fraction of the views' variance where the scores were debiased: the factor by which the noise would
-        have lowered the correlations. 1 where they were not.
-
-    Returns
-    -------
-    (H, W) float32, px
+    ``config``: ``sigma_scale`` widens the bar; ``view_count``: 2 or 3; ``signal_fraction`` (H, W) float32: texture's
+    fraction of the views' variance where the scores were debiased: the factor by which the noise would have lowered the
+    correlations. 1 where they were not. Returns (H, W) float32, px.
     """
     samples = independent_samples(config)
     peak = np.clip(winner.peak, 1e-3, 1 - 1e-6)  # a peak of 0 or 1 would make the variance infinite or 0
@@ -114,11 +103,7 @@ def pooled_sigma(sigma_px: np.ndarray, reach_px: float) -> np.ndarray:
 
     Paths write their own pattern into the posterior's width, streaks along which the evidence is the same.
 
-    Parameters
-    ----------
-    sigma_px : (H, W) float, px
-    reach_px : float
-        Sigma of the window.
+    ``sigma_px`` (H, W) float, px; ``reach_px``: sigma of the window.
     """
     variance = np.square(sigma_px, dtype=np.float32)
     return np.sqrt(cv2.GaussianBlur(variance, (0, 0), reach_px, borderType=cv2.BORDER_REFLECT_101))
@@ -130,11 +115,8 @@ def without_two_views(image: np.ndarray, rows: np.ndarray) -> np.ndarray:
     A red surface under halves of cyan and yellow is seen by one half only. There is nothing to compare, and what
     noise agrees on, or neighbours suggest, is no measurement.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear RGB, 1.0 = white level
-    rows : (K, 3) float
-        Weights of R, G, B in the views: a channel is matched where one of them is not 0.
+    ``image`` (H, W, 3) float32, linear RGB, 1.0 = white level; ``rows`` (K, 3) float: weights of R, G, B in the views:
+    a channel is matched where one of them is not 0.
     """
     height, width = image.shape[:2]
     side = LIGHT_WINDOW_PX

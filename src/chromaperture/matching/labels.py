@@ -18,17 +18,10 @@ MOST_APART_PX = 0.5
 
 
 class LabelMap(NamedTuple):
-    """What a label means at every pixel: ``disparity = offset_px + scale * label``.
+    """What a label means at every pixel: ``disparity = offset_px + scale * label``."""
 
-    Attributes
-    ----------
-    offset_px : (H, W) float32, px
-    scale : (H, W) float32
-        Only `IDENTITY` is (1, 1).
-    """
-
-    offset_px: np.ndarray
-    scale: np.ndarray
+    offset_px: np.ndarray  # (H, W) float32, px
+    scale: np.ndarray  # (H, W) float32: only `IDENTITY` is (1, 1)
 
     @property
     def is_identity(self) -> bool:
@@ -60,14 +53,8 @@ def label_map(
 
     From ``d = A - B / z`` here and ``label = A0 - B0 / z`` there.
 
-    Parameters
-    ----------
-    infinity_disparity_px : (H, W) float, px
-        A of the views that are matched.
-    scale_px_mm : (H, W) float, px mm
-        B.
-    reference : (float, float)
-        A0 and B0, the same for all views of a camera.
+    ``infinity_disparity_px`` (H, W) float, px: a of the views that are matched; ``scale_px_mm`` (H, W) float, px mm: B;
+    ``reference`` (float, float): A0 and B0, the same for all views of a camera.
     """
     scale = scale_px_mm / reference[1]
     offset = infinity_disparity_px - scale * reference[0]
@@ -77,18 +64,9 @@ def label_map(
 def labels_between(layers_px: np.ndarray, directions: np.ndarray, *, most_px: float = MOST_APART_PX) -> np.ndarray:
     """Return the labels to choose among: the layers, and so many between two of them that the views move little.
 
-    Parameters
-    ----------
-    layers_px : (D,) float, px
-        Equally spaced.
-    directions : (K, 2) float
-        Displacement of each view per px of disparity.
-    most_px : float
-        By which two views move between two labels at most.
-
-    Returns
-    -------
-    (N,) float64, px; every n-th is a layer
+    ``layers_px`` (D,) float, px: equally spaced; ``directions`` (K, 2) float: displacement of each view per px of
+    disparity; ``most_px``: by which two views move between two labels at most. Returns (N,) float64, px; every n-th is
+    a layer.
     """
     apart = max(float(np.linalg.norm(a - b)) for a, b in combinations(np.asarray(directions), 2))
     step = layers_px[1] - layers_px[0]

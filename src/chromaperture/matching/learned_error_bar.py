@@ -39,21 +39,12 @@ _FILE = Path(__file__).parent / "learned_error_bar.json"
 
 
 class Weights(NamedTuple):
-    """A weighted sum of signs.
+    """A weighted sum of signs."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Of the signs, see `signs`.
-    weights : (N,) float
-    constant : float
-    least, most : (N,) float
-        Signs beyond are taken as these: what was never seen is not guessed at.
-    """
-
-    names: tuple[str, ...]
-    weights: np.ndarray
+    names: tuple[str, ...]  # of the signs, see `signs`
+    weights: np.ndarray  # (N,) float
     constant: float
+    # ``least``, ``most``: (N,) float: signs beyond are taken as these: what was never seen is not guessed at.
     least: np.ndarray
     most: np.ndarray
 
@@ -75,11 +66,8 @@ def signs(surface: BlockSurface, first: np.ndarray, sigma: np.ndarray) -> dict[s
     ``evidence``: nats a pixel along the surface; ``paths`` and ``planes``: how far the paths' surface and the planes
     lie from it; ``edges``: how likely depth edges are nearby; ``range_N``: range of the surface within N blocks.
 
-    Parameters
-    ----------
-    surface : BlockSurface
-    first, sigma : (H, W) float, labels
-        The paths' surface, and the standard deviation of their posterior about the final one.
+    ``first``, ``sigma`` (H, W) float, labels: the paths' surface, and the standard deviation of their posterior about
+    the final one.
     """
     label = np.asarray(surface.label, np.float32)
     posterior = np.log(np.sqrt(pooled(block_means(np.square(sigma)))) + np.float32(LEAST_LABELS))

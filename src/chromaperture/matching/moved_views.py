@@ -19,34 +19,18 @@ MOVE_PARTS = 32
 
 
 class PixelMaps(NamedTuple):
-    """Where a view of the halved picture is sampled, as `cv2.remap` takes it.
+    """Where a view of the halved picture is sampled, as `cv2.remap` takes it."""
 
-    Attributes
-    ----------
-    pixels : (h, w, 2) int16
-        Column and row of the upper left of four pixels.
-    parts : (h, w) uint16
-        Parts of the way to the next row, times `MOVE_PARTS`, and to the next column.
-    """
-
-    pixels: np.ndarray
-    parts: np.ndarray
+    pixels: np.ndarray  # (h, w, 2) int16: column and row of the upper left of four pixels
+    parts: np.ndarray  # (h, w) uint16: parts of the way to the next row, times `MOVE_PARTS`, and to the next column
 
 
 def halved_moves(table_px: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """Return the displacement of every view at every pixel of the halved picture; (K, h, w, 2) int16.
 
-    Parameters
-    ----------
-    table_px : (rows, columns, K, 2) float, px of the full picture
-        At places evenly spaced over the frame, the first and last on its border pixels; linear between them.
-    size : (int, int)
-        H, W of the full picture.
-
-    Returns
-    -------
-    (K, h, w, 2) int16
-        (x, y) in parts of a px of the halved picture, `MOVE_PARTS` a px.
+    ``table_px`` (rows, columns, K, 2) float, px of the full picture: at places evenly spaced over the frame, the first
+    and last on its border pixels; linear between them; ``size`` (int, int): H, W of the full picture. Returns (K, h, w,
+    2) int16: (x, y) in parts of a px of the halved picture, `MOVE_PARTS` a px.
     """
     table = np.asarray(table_px, float)
     return _halved_moves(table.tobytes(), table.shape, *size)

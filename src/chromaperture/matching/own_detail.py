@@ -28,14 +28,8 @@ def own_detail(
 ) -> np.ndarray:
     """Return the share of its window's evidence that is a pixel's own; (H, W) float32 in [0, 1].
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear RGB, finite
-    noise_variance : (H, W, 3) float, optional
-        Without it nothing is taken off for noise.
-    channels : tuple of int
-        That are correlated.
-    config : CrossFilterConfig
+    ``image`` (H, W, 3) float32, linear RGB, finite; ``noise_variance`` (H, W, 3) float: without it nothing is taken off
+    for noise; ``channels``: that are correlated.
     """
     fine = min(low for low, _ in config.bands_px)
     coarse = max(high for _, high in config.bands_px)

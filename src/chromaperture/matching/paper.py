@@ -19,19 +19,10 @@ EDGE_REACH_PX = 8  # twice the reach of a matching window, and the pixel
 
 @dataclass(frozen=True)
 class PaperMethod:
-    """Correlate shifted views, smooth the scores by a bilateral filter, take every pixel's best layer.
-
-    Attributes
-    ----------
-    config : PaperConfig
-    space : ViewSpace
-        The aperture's colour space, Eq. (1).
-    noise : NoiseModel
-    run : Execution
-    """
+    """Correlate shifted views, smooth the scores by a bilateral filter, take every pixel's best layer."""
 
     config: PaperConfig
-    space: ViewSpace
+    space: ViewSpace  # the aperture's colour space, Eq. (1)
     noise: NoiseModel
     run: Execution
 

@@ -17,20 +17,11 @@ from chromaperture.settings.methods import RealTimeConfig
 
 @dataclass(frozen=True)
 class RealTimeMethod:
-    """Find the best layer along four paths, then its place between the layers, at half the resolution.
-
-    Attributes
-    ----------
-    config : RealTimeConfig
-    space : ViewSpace
-    label_map : LabelMap
-        What equal depth means at every pixel of the full picture.
-    run : Execution
-    """
+    """Find the best layer along four paths, then its place between the layers, at half the resolution."""
 
     config: RealTimeConfig
     space: ViewSpace
-    label_map: LabelMap
+    label_map: LabelMap  # what equal depth means at every pixel of the full picture
     run: Execution
 
     def match(self, image: np.ndarray) -> Disparity:

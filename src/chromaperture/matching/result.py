@@ -12,18 +12,12 @@ from chromaperture.color.noise import estimate_noise_variance
 
 
 class NoiseModel(NamedTuple):
-    """Noise of a sensor's images.
+    """Noise of a sensor's images."""
 
-    Attributes
-    ----------
-    variance : callable
-        From an image (H, W, 3) to the noise variance of its channels, (H, W, 3), (white level)^2.
-    is_known : bool
-        From the sensor's electrons; else estimated in the image, whose fine texture then counts as noise: good enough
-        for weights, but not to subtract from scores.
-    """
-
+    # From an image (H, W, 3) to the noise variance of its channels, (H, W, 3), (white level)^2.
     variance: Callable[[np.ndarray], np.ndarray]
+    # From the sensor's electrons; else estimated in the image, whose fine texture then counts as noise: good enough for
+    # weights, but not to subtract from scores.
     is_known: bool
 
     def given_or_computed(self, image: np.ndarray, noise_variance: np.ndarray | None) -> np.ndarray:

@@ -22,17 +22,10 @@ CHECK_EVERY = 25  # iterations between two evaluations of the gap; chosen by han
 
 
 class Smoothed(NamedTuple):
-    """A regularised disparity map and how far it is from the optimum.
+    """A regularised disparity map and how far it is from the optimum."""
 
-    Attributes
-    ----------
-    disparity_px : (H, W) float32, px; known everywhere, holes are inpainted.
-    gap_per_px : float; upper bound of (energy - least possible energy) / (H W).
-    iterations : int
-    """
-
-    disparity_px: np.ndarray
-    gap_per_px: float
+    disparity_px: np.ndarray  # (H, W) float32, px; known everywhere, holes are inpainted
+    gap_per_px: float  # float; upper bound of (energy - least possible energy) / (H W)
     iterations: int
 
 
@@ -52,38 +45,15 @@ def smooth_disparity(
 ) -> Smoothed:
     """Regularise a disparity map by its total variation.
 
-    Parameters
-    ----------
-    disparity_px : (H, W) float, px
-        NaN is unknown and is filled in.
-    weights : (H, W) float, optional
-        Confidence >= 0 of each pixel; NaN counts as 0. All 1 when absent.
-    edges : (2, H, W) float, optional
-        Weights in [0, 1] of the links to the right and downwards, see `edge_weights`.
-    bounds_px : (float, float), optional
-        Range of the result; the range of the known values when absent.
-    data_term : {"absolute", "quadratic"}
-        The first is unmoved by outliers, the second fits Gaussian errors.
-    fidelity : float
-        Per px ("absolute") or per px^2 ("quadratic"), against a total variation of weight 1.
-    huber_px : float
-        Slopes below are smoothed, not flattened into steps, px per px.
-    iterations : int
-        The most iterations.
-    tolerance : float
-        Stop when the primal-dual gap per pixel falls below; 0 runs all iterations.
-    primal_step : float
-        Affects the speed of convergence, not the result.
-    execution : {"numba", "numpy"}
-
-    Returns
-    -------
-    Smoothed
-
-    Raises
-    ------
-    InputError
-        Shapes differ, nothing is known, or a parameter is out of range.
+    ``disparity_px`` (H, W) float, px: NaN is unknown and is filled in; ``weights`` (H, W) float: confidence >= 0 of
+    each pixel; NaN counts as 0. All 1 when absent; ``edges`` (2, H, W) float: weights in [0, 1] of the links to the
+    right and downwards, see `edge_weights`; ``bounds_px`` (float, float): range of the result; the range of the known
+    values when absent; ``data_term`` {"absolute", "quadratic"}: the first is unmoved by outliers, the second fits
+    Gaussian errors; ``fidelity``: per px ("absolute") or per px^2 ("quadratic"), against a total variation of weight 1;
+    ``huber_px``: slopes below are smoothed, not flattened into steps, px per px; ``iterations``: the most iterations;
+    ``tolerance``: stop when the primal-dual gap per pixel falls below; 0 runs all iterations; ``primal_step``: affects
+    the speed of convergence, not the result; ``execution`` {"numba", "numpy"}. Raises InputError: shapes differ,
+    nothing is known, or a parameter is out of range.
     """
     if not (fidelity > 0 and huber_px >= 0 and iterations >= 1 and primal_step > 0):
         raise InputError("fidelity and primal_step must be positive, huber_px >= 0 and iterations >= 1")

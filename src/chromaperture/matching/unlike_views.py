@@ -26,14 +26,9 @@ def unlike_share(pictures: np.ndarray, disparity_px: np.ndarray, directions: np.
 
     0 where all views show the same, 1 where their mean is even.
 
-    Parameters
-    ----------
-    pictures : (H, W, K) float32
-        Views, as in `Views.pictures`.
-    disparity_px : (H, W) float32, px
-        NaN where unknown: there the views are not moved.
-    directions : (K, 2) float
-        Displacement (x, y) of each view per px of disparity.
+    ``pictures`` (H, W, K) float32: views, as in `Views.pictures`; ``disparity_px`` (H, W) float32, px: NaN where
+    unknown: there the views are not moved; ``directions`` (K, 2) float: displacement (x, y) of each view per px of
+    disparity.
     """
     height, width, count = pictures.shape
     moved = np.empty((count, height, width), np.float32)
@@ -56,11 +51,8 @@ def unlike_share(pictures: np.ndarray, disparity_px: np.ndarray, directions: np.
 def mixed_share(rows: np.ndarray) -> float:
     """Return how far three views are mixed from several channels: 0 of one channel each, 1 of two with equal weights.
 
-    Parameters
-    ----------
-    rows : (K, 3) float
-        Weights of R, G, B in the views. The second largest weight of each counts, as a share of the largest. Of two
-        views 0: their correlation has a sign, so that they do not take hues for a match.
+    ``rows`` (K, 3) float: weights of R, G, B in the views. The second largest weight of each counts, as a share of the
+    largest. Of two views 0: their correlation has a sign, so that they do not take hues for a match.
     """
     if len(rows) == 2:
         return 0.0
@@ -71,11 +63,8 @@ def mixed_share(rows: np.ndarray) -> float:
 def cell_moments(plane: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return mean and mean square in squares of `CELL_PX`; what is left over at the right and below is not read.
 
-    Returns
-    -------
-    two (h, w) float64
-        h = max(1, H // `CELL_PX`), w alike: of a picture that is smaller than a cell the border counts several times.
-        With 64 bits, since a dark area of little texture is far from the mean of the frame.
+    Returns two (h, w) float64: h = max(1, H // `CELL_PX`), w alike: of a picture that is smaller than a cell the border
+    counts several times. With 64 bits, since a dark area of little texture is far from the mean of the frame.
     """
     height, width = plane.shape
     rows, columns = (max(1, size // CELL_PX) for size in (height, width))

@@ -14,21 +14,11 @@ _LEAST_PRESMOOTH_PX = 0.3  # below, the pixel's own area smooths the noise
 
 @dataclass(frozen=True)
 class ViewNoise:
-    """Noise of the smoothed views.
+    """Noise of the smoothed views."""
 
-    Attributes
-    ----------
-    variance : (H, W, K) float32
-        Of the views. Even noise is a broadcast array.
-    covariance : (H, W, P) float32
-        Of the P pairs of views (0,1), (0,2), (1,2), before any shift.
-    presmooth_sigma_px : float
-        Of the Gaussian that correlates the noise of neighbours.
-    """
-
-    variance: np.ndarray
-    covariance: np.ndarray
-    presmooth_sigma_px: float
+    variance: np.ndarray  # (H, W, K) float32: of the views. Even noise is a broadcast array
+    covariance: np.ndarray  # (H, W, P) float32: of the P pairs of views (0,1), (0,2), (1,2), before any shift
+    presmooth_sigma_px: float  # of the Gaussian that correlates the noise of neighbours
 
     def sampled(self, variance_px2: float) -> ViewNoise:
         """Return the noise of views that are read by a kernel of this variance, px^2."""
@@ -55,14 +45,8 @@ def view_pairs(view_count: int) -> list[tuple[int, int]]:
 def noise_of_views(noise_variance: np.ndarray, rows: np.ndarray, *, presmooth_sigma_px: float) -> ViewNoise:
     """Return the noise of mixed and smoothed views.
 
-    Parameters
-    ----------
-    noise_variance : (H, W, 3) float32
-        Of the sensor's channels.
-    rows : (K, 3) float
-        Weights of R, G, B in the views.
-    presmooth_sigma_px : float
-        Of the Gaussian before matching.
+    ``noise_variance`` (H, W, 3) float32: of the sensor's channels; ``rows`` (K, 3) float: weights of R, G, B in the
+    views; ``presmooth_sigma_px``: of the Gaussian before matching.
     """
     rows = np.asarray(rows)
     products = np.stack([rows[k] * rows[m] for k, m in view_pairs(len(rows))])

@@ -45,24 +45,13 @@ CONSTANT = 1e-6  # RMS of a view, of full scale, below which it has no texture: 
 
 @dataclass(frozen=True)
 class ViewSpace:
-    """How views are made of the sensor's channels, and how a layer displaces them.
+    """How views are made of the sensor's channels, and how a layer displaces them."""
 
-    Attributes
-    ----------
-    directions : (K, 2) float64
-        Displacement (x, y) of each view per px of disparity.
-    rows : (K, 3) float64
-        Weights of R, G, B in each view.
-    guide_rgb : (3,) float64
-        Weights of R, G, B in the guide.
-    moves_px : (rows, columns, K, 2) float64, px, or None
-        Displacement of each view by the lens, whatever the disparity, which `halved_views` takes off; see
-        `disparity.moved_views.halved_moves`.
-    """
-
-    directions: np.ndarray
-    rows: np.ndarray
-    guide_rgb: np.ndarray
+    directions: np.ndarray  # (K, 2) float64: displacement (x, y) of each view per px of disparity
+    rows: np.ndarray  # (K, 3) float64: weights of R, G, B in each view
+    guide_rgb: np.ndarray  # (3,) float64: weights of R, G, B in the guide
+    # (rows, columns, K, 2) float64, px, or None: displacement of each view by the lens, whatever the disparity, which
+    # `halved_views` takes off; see `disparity.moved_views.halved_moves`.
     moves_px: np.ndarray | None = None
 
 
@@ -73,30 +62,16 @@ def moved_px(directions: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Views:
-    """The pictures of one capture, ready to be matched.
+    """The pictures of one capture, ready to be matched."""
 
-    Attributes
-    ----------
-    pictures : (H, W, K) float32
-        Views through the K filters, zero mean, pre-smoothed; in memory one plane after the other.
-    directions : (K, 2) float64
-        Displacement (x, y) of each view per px of disparity.
-    guide : (H, W) float32
-        Centre-view picture that steers filters and penalties, in units of ``guide_range``.
-    mask : (H, W) float32
-        1 where the capture is usable, 0 where it is saturated or not finite.
-    noise : ViewNoise or None
-        None where no use is made of it.
-    unit : float
-        The pictures are multiples of it (`whole_light.light_unit`); 0 where they are any numbers.
-    """
-
+    # (H, W, K) float32: views through the K filters, zero mean, pre-smoothed; in memory one plane after the other.
     pictures: np.ndarray
-    directions: np.ndarray
+    directions: np.ndarray  # (K, 2) float64: displacement (x, y) of each view per px of disparity
+    # (H, W) float32: centre-view picture that steers filters and penalties, in units of ``guide_range``.
     guide: np.ndarray
-    mask: np.ndarray
-    noise: ViewNoise | None = None
-    unit: float = 0.0
+    mask: np.ndarray  # (H, W) float32: 1 where the capture is usable, 0 where it is saturated or not finite
+    noise: ViewNoise | None = None  # None where no use is made of it
+    unit: float = 0.0  # the pictures are multiples of it (`whole_light.light_unit`); 0 where they are any numbers
 
 
 def view_spaces(
@@ -104,20 +79,11 @@ def view_spaces(
 ) -> list[ViewSpace]:
     """Return the views that a method matches: one space, or for ``both`` two where they differ.
 
-    Parameters
-    ----------
-    aperture : Aperture
-    unmixing : (K, 3) float or None
-        Rows of M^-1, Eq. (1). That of the aperture's own film when absent.
-    space : {"unmixed", "pure", "channels", "both"}
-        For ``pure`` and ``both``, a design without pure channels has its unmixed views only, but for ``both`` and three
-        views its channels: through CMY circles and squares twice as much is found by them (docs/measurements.md, *Hues
-        in unmixed views*). ``channels``: see `channel_space`.
-
-    Raises
-    ------
-    InputError
-        ``unmixing`` does not fit the aperture, or the aperture has no parallax.
+    ``unmixing`` (K, 3) float or None: rows of M^-1, Eq. (1). That of the aperture's own film when absent; ``space``
+    {"unmixed", "pure", "channels", "both"}: for ``pure`` and ``both``, a design without pure channels has its unmixed
+    views only, but for ``both`` and three views its channels: through CMY circles and squares twice as much is found by
+    them (docs/measurements.md, *Hues in unmixed views*). ``channels``: see `channel_space`. Raises InputError:
+    ``unmixing`` does not fit the aperture, or the aperture has no parallax.
     """
     rows = own_film_unmixing(aperture) if unmixing is None else np.asarray(unmixing, float)
     if rows.shape != (len(aperture.views), 3):
@@ -172,18 +138,8 @@ def filtered_views(
 ) -> Views:
     """Mix the sensor's channels into views, Eq. (1), and smooth them.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear RGB, 1.0 = white level
-    space : ViewSpace
-    config : ViewsConfig
-    noise_variance : (H, W, 3) float32, optional
-        Of the sensor's channels.
-
-    Raises
-    ------
-    InputError
-        No pixel is usable, or a view is constant, so there is nothing to match.
+    ``image`` (H, W, 3) float32, linear RGB, 1.0 = white level; ``noise_variance`` (H, W, 3) float32: of the sensor's
+    channels. Raises InputError: no pixel is usable, or a view is constant, so there is nothing to match.
     """
     views, guide, mask = mixed(image, space)
     noise = None
@@ -195,24 +151,9 @@ def filtered_views(
 def halved_views(image: np.ndarray, space: ViewSpace, *, config: ViewsConfig) -> tuple[Views, np.ndarray]:
     """Mix the sensor's channels into views at half the resolution; the guide at full resolution beside them.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear RGB, 1.0 = white level
-    space : ViewSpace
-    config : ViewsConfig
-        ``presmooth_sigma_px`` counts px of the halved picture.
-
-    Returns
-    -------
-    views : Views
-        (h, w) with h = ceil(H / 2), w alike; pixel (x, y) is (2 x, 2 y) of the image.
-    guide : (H, W) float32
-        In units of ``guide_range``, not smoothed.
-
-    Raises
-    ------
-    InputError
-        As `filtered_views`.
+    ``image`` (H, W, 3) float32, linear RGB, 1.0 = white level; ``config``: ``presmooth_sigma_px`` counts px of the
+    halved picture. Returns ``views`` (h, w) with h = ceil(H / 2), w alike; pixel (x, y) is (2 x, 2 y) of the image;
+    ``guide`` (H, W) float32: in units of ``guide_range``, not smoothed. Raises InputError: as `filtered_views`.
     """
     views, guide, mask = mixed(image, space)
     maps = None if space.moves_px is None else pixel_maps(space.moves_px, mask.shape)
@@ -222,12 +163,8 @@ def halved_views(image: np.ndarray, space: ViewSpace, *, config: ViewsConfig) ->
 def mixed(image: np.ndarray, space: ViewSpace) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
     """Return views and guide as they are, without unknown pixels, and where they are usable; raises InputError.
 
-    Returns
-    -------
-    views : K arrays (H, W) float32, finite
-    guide : (H, W) float32, finite
-    mask : (H, W) bool
-        Neither saturated nor without a finite value.
+    Returns ``views`` K arrays (H, W) float32, finite; ``guide`` (H, W) float32, finite; ``mask`` (H, W) bool: neither
+    saturated nor without a finite value.
     """
     image = np.ascontiguousarray(image, np.float32)
     brightest = cv2.max(cv2.max(image[..., 0], image[..., 1]), image[..., 2])

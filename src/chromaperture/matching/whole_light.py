@@ -38,13 +38,8 @@ def in_whole_units(values: np.ndarray, unit: float, *, less: float = 0.0, out: n
 
     Adding a number whose last bit is the unit rounds; exact below 2^22 units.
 
-    Parameters
-    ----------
-    values : (H, ...) float32
-    unit : float
-    less : float
-        Is subtracted; an even number of units, so that halves are rounded the same way with it or without.
-    out : float32, optional
+    ``values`` (H, ...) float32; ``less``: is subtracted; an even number of units, so that halves are rounded the same
+    way with it or without.
     """
     rounder = 1.5 * 2**23 * unit
     out = np.empty(values.shape, np.float32) if out is None else out

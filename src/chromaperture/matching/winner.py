@@ -8,52 +8,33 @@ import numpy as np
 
 
 class Winner(NamedTuple):
-    """The best disparity of every pixel by its own scores, (H, W) float32 each.
+    """The best disparity of every pixel by its own scores, (H, W) float32 each."""
 
-    Attributes
-    ----------
-    disparity_px : px; NaN where the best layer is an end of the range.
-    peak : score at the vertex of the parabola.
-    curvature : 1/px^2; minus the second derivative of the score there, >= 0.
-    """
-
-    disparity_px: np.ndarray
+    disparity_px: np.ndarray  # px; NaN where the best layer is an end of the range
     peak: np.ndarray
-    curvature: np.ndarray
+    curvature: np.ndarray  # 1/px^2; minus the second derivative of the score there, >= 0
 
 
 class Surface(NamedTuple):
-    """A surface through a volume, (H, W) float32 each.
+    """A surface through a volume, (H, W) float32 each."""
 
-    Attributes
-    ----------
-    disparity_px : px; NaN unknown.
-    sigma_px : px; standard deviation of the posterior over the layers.
-    peak : correlation of the views at the surface's layer, in [0, 1].
-    """
-
-    disparity_px: np.ndarray
-    sigma_px: np.ndarray
-    peak: np.ndarray
+    disparity_px: np.ndarray  # px; NaN unknown
+    sigma_px: np.ndarray  # px; standard deviation of the posterior over the layers
+    peak: np.ndarray  # correlation of the views at the surface's layer, in [0, 1]
 
 
 class PathWinner(NamedTuple):
-    """The best layer of every pixel by the costs of its paths, (H, W) float32 each.
-
-    Attributes
-    ----------
-    layer : index of the layer of least cost.
-    before, at, after : nats; log-likelihoods of the layer's neighbours and of the layer, which is moved inside the
-        range by one where it is an end.
-    sigma_px : px; root mean square distance of the layers from the best, weighted by how little more they cost.
-    far_before, far_after : nats; log-likelihoods two layers from the layer, or at the end of the range.
-    """
+    """The best layer of every pixel by the costs of its paths, (H, W) float32 each."""
 
     layer: np.ndarray
+    # ``before``, ``at``, ``after``: nats; log-likelihoods of the layer's neighbours and of the layer, which is moved
+    # inside the: range by one where it is an end.
     before: np.ndarray
     at: np.ndarray
     after: np.ndarray
+    # px; root mean square distance of the layers from the best, weighted by how little more they cost.
     sigma_px: np.ndarray
+    # ``far_before``, ``far_after``: nats; log-likelihoods two layers from the layer, or at the end of the range.
     far_before: np.ndarray
     far_after: np.ndarray
 
@@ -61,14 +42,8 @@ class PathWinner(NamedTuple):
 def parabola_winner(score: np.ndarray, layers_px: np.ndarray, *, lower_is_better: bool = False) -> Winner:
     """Take the best layer and refine it by a parabola through it and its neighbours.
 
-    Parameters
-    ----------
-    score : (H, W, D) float
-        D >= 3.
-    layers_px : (D,) float, px
-        Equally spaced.
-    lower_is_better : bool
-        The volume holds costs. A negated copy would take as much memory again.
+    ``score`` (H, W, D) float: D >= 3; ``layers_px`` (D,) float, px: equally spaced; ``lower_is_better``: the volume
+    holds costs. A negated copy would take as much memory again.
     """
     step = layers_px[1] - layers_px[0]
     best = score.argmin(axis=2) if lower_is_better else score.argmax(axis=2)

@@ -23,25 +23,12 @@ from chromaperture.settings.methods import MatcherConfig
 
 @dataclass(frozen=True)
 class ScaledMethod:
-    """A method that matches reduced pictures.
+    """A method that matches reduced pictures."""
 
-    Attributes
-    ----------
-    method : Method
-        Of the camera of reduced pictures.
-    config : MatcherConfig
-        Of that method.
-    size_px : (int, int)
-        Width and height of the reduced picture.
-    aperture : Aperture
-        Its centre view is the guide.
-    run : Execution
-    """
-
-    method: Method
-    config: MatcherConfig
-    size_px: tuple[int, int]
-    aperture: Aperture
+    method: Method  # of the camera of reduced pictures
+    config: MatcherConfig  # of that method
+    size_px: tuple[int, int]  # (int, int): width and height of the reduced picture
+    aperture: Aperture  # its centre view is the guide
     run: Execution
 
     def match(self, image: np.ndarray) -> Disparity:
@@ -58,15 +45,8 @@ class ScaledMethod:
 def reduced(image: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
     """Reduce a picture by area averages.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear RGB
-    size_px : (int, int)
-        Width and height of the result.
-
-    Returns
-    -------
-    (h, w, 3) float32; NaN where a pixel is saturated or not finite: the mean of what was cut off is not known
+    ``image`` (H, W, 3) float32, linear RGB; ``size_px`` (int, int): width and height of the result. Returns (h, w, 3)
+    float32; NaN where a pixel is saturated or not finite: the mean of what was cut off is not known.
     """
     small = cv2.resize(image, size_px, interpolation=cv2.INTER_AREA)
     mark_cut_off(image, small)

@@ -39,13 +39,9 @@ _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 def read_tree(path: str | Path) -> dict[str, Any]:
     """Read the tree of an ASDF file of plain values and float arrays.
 
-    Raises
-    ------
-    InputError
-        The file cannot be read, is too large, or of another kind.
-    ValueError, yaml.YAMLError
-        It is damaged, or holds what a camera file has no use for: references to other files, other tags, compressed or
-        streamed blocks, arrays whose size is not that of their block.
+    Raises InputError: the file cannot be read, is too large, or of another kind. Raises ValueError, yaml.YAMLError: it
+    is damaged, or holds what a camera file has no use for: references to other files, other tags, compressed or
+    streamed blocks, arrays whose size is not that of their block.
     """
     data = read_bytes(path, most_bytes=_MOST_BYTES)
     end = _END_OF_TREE.search(data, 0, _MOST_TREE_BYTES)

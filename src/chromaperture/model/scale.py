@@ -55,21 +55,8 @@ def at_scale(calibration: Calibration, scale: float) -> Calibration:
 def resized(calibration: Calibration, width_px: int, height_px: int) -> Calibration:
     """Return the same camera for pictures of another size that show the whole frame.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    width_px, height_px : int
-        Of nearly the same aspect: where a side was rounded, px of disparity are those of the width.
-
-    Returns
-    -------
-    Calibration
-        Without change where the size is the same.
-
-    Raises
-    ------
-    InputError
-        The size has another aspect.
+    ``width_px``, ``height_px``: of nearly the same aspect: where a side was rounded, px of disparity are those of the
+    width. Returns without change where the size is the same. Raises InputError: the size has another aspect.
     """
     sensor, lens = calibration.sensor, calibration.lens
     before, after = (sensor.width_px, sensor.height_px), (int(width_px), int(height_px))

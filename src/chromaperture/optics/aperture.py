@@ -176,15 +176,8 @@ def centroids(aperture: Aperture, unmixing: np.ndarray | None = None) -> np.ndar
     A linear combination ``q`` of the sensor channels has the pupil function ``sum_k q_k A_k``, so unmixing moves the
     centroids outwards: CYX separates the views of an open design further than RGB does.
 
-    Parameters
-    ----------
-    aperture : Aperture
-    unmixing : (K, 3) float, optional
-        Rows are combinations of R, G, B; the identity when absent.
-
-    Returns
-    -------
-    (K, 2) float64, pupil radii; NaN for a channel without light.
+    ``unmixing`` (K, 3) float: rows are combinations of R, G, B; the identity when absent. Returns (K, 2) float64, pupil
+    radii; NaN for a channel without light..
     """
     rows = np.eye(3) if unmixing is None else np.asarray(unmixing, float)
     moments = rows @ channel_moments(aperture)
@@ -196,10 +189,7 @@ def centroids(aperture: Aperture, unmixing: np.ndarray | None = None) -> np.ndar
 def made_of(aperture: Aperture, film: str) -> Aperture:
     """Replace the film of a design by a named set (``ideal``, ``real``, ``leaky``).
 
-    Raises
-    ------
-    InputError
-        The film has no such colour, or its name is unknown.
+    Raises InputError: the film has no such colour, or its name is unknown.
     """
     sheets = film_named(film) | FIXED
     missing = sorted({part.filter.name for part in aperture.parts} - set(sheets))
@@ -213,11 +203,8 @@ def checked_aperture(aperture: Aperture) -> Aperture:
 
     Pieces may extend beyond the pupil, as film does under the rim of a stop; the pupil cuts them.
 
-    Raises
-    ------
-    InputError
-        More than `MOST_PIECES` pieces, a piece wholly outside the pupil, two that overlap, a view that names no piece,
-        or no light passes.
+    Raises InputError: more than `MOST_PIECES` pieces, a piece wholly outside the pupil, two that overlap, a view that
+    names no piece, or no light passes.
     """
     if len(aperture.parts) > MOST_PIECES:
         raise InputError(f"aperture {aperture.name!r} has {len(aperture.parts)} pieces, more than {MOST_PIECES}")

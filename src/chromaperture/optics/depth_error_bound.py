@@ -61,21 +61,8 @@ def expected_accuracy(
 ) -> ExpectedAccuracy:
     """Compute the lower bound of a design's depth error.
 
-    Parameters
-    ----------
-    aperture : Aperture
-    camera : PupilCamera
-    depth_mm : (N,) float
-        From the sensor plane.
-    sensor : SensorModel, optional
-    texture : Texture, optional
-    exposure : float
-        Factor on the light, the same for all designs of a comparison.
-
-    Raises
-    ------
-    InputError
-        A distance behind the camera.
+    ``depth_mm`` (N,) float: from the sensor plane; ``exposure``: factor on the light, the same for all designs of a
+    comparison. Raises InputError: a distance behind the camera.
     """
     sensor, texture = sensor or SensorModel(), texture or Texture()
     depth = np.atleast_1d(np.asarray(depth_mm, float))

@@ -31,24 +31,9 @@ def diffraction_psf(
     Light of one wavelength interferes across the whole pupil, so amplitudes are summed, not intensities: for green,
     both halves of a complementary aperture act as one.
 
-    Parameters
-    ----------
-    aperture : Aperture
-    camera : PupilCamera
-    depth_mm : float
-        Distance of the point from the sensor plane.
-    size : int
-        Side of the result in px, odd.
-    wavelengths_um : tuple of float
-
-    Returns
-    -------
-    (3, size, size) float64; each sums to the fraction of the light inside the square.
-
-    Raises
-    ------
-    InputError
-        An even size, or a blur of so many waves that the pupil cannot be sampled.
+    ``depth_mm``: distance of the point from the sensor plane; ``size``: side of the result in px, odd. Returns (3,
+    size, size) float64; each sums to the fraction of the light inside the square.. Raises InputError: an even size, or
+    a blur of so many waves that the pupil cannot be sampled.
     """
     if size % 2 == 0:
         raise InputError(f"the kernel needs an odd size, got {size}")

@@ -60,13 +60,7 @@ def half_pixel_rays(open_rays: RayTable, halves: HalfPixels, *, pupil_radius_mm:
     Red is the half that sees the right of the pupil, as it is behind halves of cyan and yellow film. Each image point
     gives both halves the same light, as in files whose shading is corrected.
 
-    Parameters
-    ----------
-    open_rays : RayTable
-        Of the lens without film; green is used for all.
-    halves : HalfPixels
-    pupil_radius_mm : float
-        Of the entrance pupil.
+    ``open_rays``: of the lens without film; green is used for all; ``pupil_radius_mm``: of the entrance pupil.
     """
     green = 1 if len(open_rays.origin) == 3 else 0
     xi = (open_rays.origin[green, ..., 0] - open_rays.chief[..., None, 0]) / pupil_radius_mm

@@ -35,18 +35,11 @@ _NO_RIM = 1e6  # pupil radii: kernels hold the rims
 
 @dataclass(frozen=True)
 class KernelBlur(LensBlur):
-    """Blur of one camera by measured kernels; `blur_from_kernels` makes it.
+    """Blur of one camera by measured kernels; `blur_from_kernels` makes it."""
 
-    Attributes
-    ----------
-    light : (rows, columns, 3, N) float64
-        Of the pupil's points, in the middles of equal cells of the frame.
-    edge_px : float, px
-        D_m: displacement of the pupil's edge where the kernels were measured.
-    """
-
+    # (rows, columns, 3, N) float64: of the pupil's points, in the middles of equal cells of the frame.
     light: np.ndarray
-    edge_px: float
+    edge_px: float  # float, px: D_m: displacement of the pupil's edge where the kernels were measured
 
     def light_at(self, position: np.ndarray) -> np.ndarray:
         """Interpolate the light of the pupil's points bilinearly, at a frame position in half widths; (3, N)."""

@@ -115,19 +115,8 @@ def displacement(
 ) -> np.ndarray:
     """Compute where rays through pupil points meet the sensor, relative to the chief ray of green.
 
-    Parameters
-    ----------
-    model : BlurModel
-    points : (N, 2) float, pupil radii
-    position : (2,) float
-        Frame position from the centre, in half widths.
-    inverse_mm : float, 1/mm
-        1 / z, z from the entrance pupil.
-    channel : {0, 1, 2}
-
-    Returns
-    -------
-    (N, 2) float64, px
+    ``points`` (N, 2) float, pupil radii; ``position`` (2,) float: frame position from the centre, in half widths;
+    ``inverse_mm`` float, 1/mm: 1 / z, z from the entrance pupil; ``channel`` {0, 1, 2}. Returns (N, 2) float64, px.
     """
     m = model
     x2 = np.einsum("ij,ij->i", points, points)
@@ -164,13 +153,8 @@ def rims(model: BlurModel, points: np.ndarray, position: np.ndarray) -> np.ndarr
 def splat(points_px: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
     """Add weighted points to the four pixels around them (bilinear), with periodic borders.
 
-    Parameters
-    ----------
-    points_px : (N, 2) float64
-        (x, y), px.
-    weights : (N,) float64
-    out : (S, S) float32
-        Is added to. `chromaperture.optics.splat_kernels.splat` is the same, compiled.
+    ``points_px`` (N, 2) float64: (x, y), px; ``weights`` (N,) float64; ``out`` (S, S) float32: is added to.
+    `chromaperture.optics.splat_kernels.splat` is the same, compiled.
     """
     size = len(out)
     corner = np.floor(points_px).astype(int)
@@ -184,19 +168,9 @@ def splat(points_px: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
 def point_transforms(points_px: np.ndarray, weights: np.ndarray, size: int, samples: int) -> np.ndarray:
     """Fourier transform of weighted points in a periodic square; `splat_kernels` has the same, compiled.
 
-    Parameters
-    ----------
-    points_px : (C, N, 2) float64
-        (x, y) of the points of each of C pictures.
-    weights : (C, N) float64
-    size : int
-        Side of the square.
-    samples : int
-        At most ``size``; frequencies of less than half a cycle in a ``samples``-th of the side are kept, if it is less.
-
-    Returns
-    -------
-    (C, samples, samples // 2 + 1) complex64
+    ``points_px`` (C, N, 2) float64: (x, y) of the points of each of C pictures; ``weights`` (C, N) float64; ``size``:
+    side of the square; ``samples``: at most ``size``; frequencies of less than half a cycle in a ``samples``-th of the
+    side are kept, if it is less. Returns (C, samples, samples // 2 + 1) complex64.
     """
     pictures = np.zeros((len(points_px), size, size), np.float32)
     for points, weight, picture in zip(points_px, weights, pictures, strict=True):
@@ -271,21 +245,10 @@ class LensBlur:
     ) -> np.ndarray:
         """Compute the optical transfer functions of rays at a distance.
 
-        Parameters
-        ----------
-        rays : Rays
-        inverse_mm : float, 1/mm
-            1 / z, z from the entrance pupil.
-        size_px : int
-            Side of the tile to filter; the PSF wraps around in it.
-        samples : int, optional
-            Along the side of a tile that is sampled more coarsely: the frequencies beyond its are left out.
-        transform : callable, optional
-            Has the signature of `point_transforms`; the compiled one when absent.
-
-        Returns
-        -------
-        (C, n, n // 2 + 1) complex64, 1 at zero frequency; n is ``samples``, or else ``size_px``
+        ``inverse_mm`` float, 1/mm: 1 / z, z from the entrance pupil; ``size_px``: side of the tile to filter; the PSF
+        wraps around in it; ``samples``: along the side of a tile that is sampled more coarsely: the frequencies beyond
+        its are left out; ``transform``: has the signature of `point_transforms`; the compiled one when absent. Returns
+        (C, n, n // 2 + 1) complex64, 1 at zero frequency; n is ``samples``, or else ``size_px``.
         """
         if transform is None:
             from chromaperture.optics import splat_kernels  # compiling starts here, not at import
@@ -329,9 +292,7 @@ class LensBlur:
     def half_disparity(self, x_px: float, y_px: float) -> tuple[float, float]:
         """Compute half the distance of the widest pair's centroids on the sensor, a - b / z.
 
-        Returns
-        -------
-        a, b : float, px and px mm
+        Returns ``a, b`` float, px and px mm.
         """
         position = self.frame_position(x_px, y_px)
         rim = rims(self.model, self.pupil.points, position)

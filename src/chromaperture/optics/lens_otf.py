@@ -27,16 +27,8 @@ def traced(blur: LensBlur, image_px: tuple[float, float], inverse_mm: float) -> 
     displacement that all channels have in common, such as coma's, cancels in their differences, and a fit to those
     does not determine it.
 
-    Parameters
-    ----------
-    blur : LensBlur
-    image_px : (x, y)
-    inverse_mm : float, 1/mm
-        1 / z, z from the entrance pupil.
-
-    Returns
-    -------
-    list of three ChannelRays, of R, G and B
+    ``image_px`` (x, y); ``inverse_mm`` float, 1/mm: 1 / z, z from the entrance pupil. Returns list of three
+    ChannelRays, of R, G and B.
     """
     position = blur.frame_position(*image_px)
     rim = rims(blur.model, blur.pupil.points, position)
@@ -56,17 +48,8 @@ def traced(blur: LensBlur, image_px: tuple[float, float], inverse_mm: float) -> 
 def transfer_at(rays: ChannelRays, *, step: float, count: int) -> np.ndarray:
     """Compute the transfer function on a lattice of frequencies.
 
-    Parameters
-    ----------
-    rays : ChannelRays
-    step : float, cycles/px
-        Between two frequencies.
-    count : int
-        The lattice extends from -count to count steps in y, from 0 to count in x.
-
-    Returns
-    -------
-    (2 count + 1, count + 1) complex64, 1 at frequency 0
+    ``step`` float, cycles/px: between two frequencies; ``count``: the lattice extends from -count to count steps in y,
+    from 0 to count in x. Returns (2 count + 1, count + 1) complex64, 1 at frequency 0.
     """
     # Powers of the first frequency's phase factors: one multiplication each instead of one exponential.
     factors = np.empty((2, count + 1, len(rays.weights)), np.complex128)
@@ -80,15 +63,8 @@ def transfer_at(rays: ChannelRays, *, step: float, count: int) -> np.ndarray:
 def lens_kernels(blur: LensBlur, image_px: tuple[float, float], inverse_mm: float) -> np.ndarray:
     """Compute the point-spread functions of the three channels, band-limited to the sampling rate.
 
-    Parameters
-    ----------
-    blur : LensBlur
-    image_px : (x, y)
-    inverse_mm : float, 1/mm
-
-    Returns
-    -------
-    (3, s, s) float32 of unit sum, with the centre view's position at [s // 2, s // 2]; s is odd
+    ``image_px`` (x, y); ``inverse_mm`` float, 1/mm. Returns (3, s, s) float32 of unit sum, with the centre view's
+    position at [s // 2, s // 2]; s is odd.
     """
     rays = traced(blur, image_px, inverse_mm)
     reach = math.ceil(max(float(np.abs(r.points_px).max()) for r in rays)) + _MARGIN_PX

@@ -33,11 +33,7 @@ def film_unmixing(aperture: Aperture) -> np.ndarray:
 def aperture_figures(aperture: Aperture, unmixing: np.ndarray | None = None) -> ApertureFigures:
     """Compute the figures of a design for the sensor's channels, or for combinations of them.
 
-    Parameters
-    ----------
-    aperture : Aperture
-    unmixing : (K, 3) float, optional
-        Rows are combinations of R, G, B; see `film_unmixing`. The identity when absent.
+    ``unmixing`` (K, 3) float: rows are combinations of R, G, B; see `film_unmixing`. The identity when absent.
     """
     transmission = channel_transmission(aperture)
     rho = centroids(aperture, unmixing)

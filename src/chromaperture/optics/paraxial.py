@@ -45,16 +45,8 @@ def _matrix(lens: Prescription, wavelength_um: float, first: int, last: int) -> 
 def paraxial(lens: Prescription, *, wavelength_um: float | None = None) -> Paraxial:
     """Compute the first-order data of a lens.
 
-    Parameters
-    ----------
-    lens : Prescription
-    wavelength_um : float, optional
-        Green when absent.
-
-    Raises
-    ------
-    InputError
-        The lens has no power, or its stop is imaged to infinity by either half, or the sensor lies inside the focus.
+    ``wavelength_um``: green when absent. Raises InputError: the lens has no power, or its stop is imaged to infinity by
+    either half, or the sensor lies inside the focus.
     """
     wave = lens.wavelengths_um[1] if wavelength_um is None else wavelength_um
     n, stop, count = lens.indices(wave), lens.stop_index, len(lens.surfaces)
@@ -116,16 +108,8 @@ def _conjugate(gap: float, whole: np.ndarray, name: str) -> float:
 def focused_at(lens: Prescription, distance_mm: float) -> Prescription:
     """Move the sensor so that a distance is in focus paraxially.
 
-    Parameters
-    ----------
-    lens : Prescription
-    distance_mm : float
-        From the sensor plane; inf is allowed.
-
-    Raises
-    ------
-    InputError
-        Too close: object and image are at least four focal lengths apart.
+    ``distance_mm``: from the sensor plane; inf is allowed. Raises InputError: too close: object and image are at least
+    four focal lengths apart.
     """
     data = paraxial(replace(lens, sensor_gap_mm=1e6))
     f = data.focal_length_mm

@@ -63,19 +63,8 @@ class PupilCamera:
     def blur_radius_px(self, depth_mm: np.ndarray | float) -> np.ndarray:
         """Compute the displacement of the pupil's edge, r = (F R / mu)(1 / z_f - 1 / z), + beyond the focus: Eq. (5).
 
-        Parameters
-        ----------
-        depth_mm : (...) float
-            Distance from the sensor plane; NaN stays NaN, inf is allowed.
-
-        Returns
-        -------
-        (...) float64, px
-
-        Raises
-        ------
-        InputError
-            A depth at or behind the entrance pupil.
+        ``depth_mm`` (...) float: distance from the sensor plane; NaN stays NaN, inf is allowed. Returns (...) float64,
+        px. Raises InputError: a depth at or behind the entrance pupil.
         """
         z = np.asarray(depth_mm, float) - self.sensor_to_pupil_mm
         if np.any(z <= 0):
@@ -91,14 +80,7 @@ class PupilCamera:
 
 
 def pupil_camera(lens: Prescription, *, width_px: int, height_px: int, pixel_pitch_mm: float) -> PupilCamera:
-    """Approximate a lens to first order.
-
-    Parameters
-    ----------
-    lens : Prescription
-    width_px, height_px : int
-    pixel_pitch_mm : float
-    """
+    """Approximate a lens to first order."""
     data = paraxial(lens)
     return PupilCamera(
         width_px=width_px,

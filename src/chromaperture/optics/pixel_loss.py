@@ -32,18 +32,9 @@ def mean_bars(
 ) -> np.ndarray:
     """Compute the bound of the disparity's standard deviation in the frame's middle, the mean over distances.
 
-    Parameters
-    ----------
-    blur : LensBlur
-    inverse_mm : (N,) float, 1/mm
-        1 / z, z from the entrance pupil.
-    sides_px : (S,) float
-        Sides of the pixels, px of the blur; 0 is light that no pixels divide.
-
-    Returns
-    -------
-    (S,) float64
-        In one unknown unit: only ratios mean something.
+    ``inverse_mm`` (N,) float, 1/mm: 1 / z, z from the entrance pupil; ``sides_px`` (S,) float: sides of the pixels, px
+    of the blur; 0 is light that no pixels divide. Returns (S,) float64: in one unknown unit: only ratios mean
+    something.
     """
     widest = max(abs(blur.model.infinity_px - blur.model.scale_px_mm * z) for z in inverse_mm)
     step = _HIGHEST_CYCLES / max(float(widest), 1e-6) / _FREQUENCIES

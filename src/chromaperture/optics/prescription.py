@@ -90,10 +90,7 @@ def lens_names() -> list[str]:
 def load_lens(name_or_path: str | Path) -> Prescription:
     """Load a lens of the package by its name, or a user's from a TOML file.
 
-    Raises
-    ------
-    InputError
-        Unknown name, missing or malformed file; see `lens_from_dict`.
+    Raises InputError: unknown name, missing or malformed file; see `lens_from_dict`.
     """
     name = str(name_or_path)
     if not name.endswith(".toml"):
@@ -134,19 +131,10 @@ class _LensTable(Table):
 def lens_from_dict(data: Mapping[str, Any], *, name: str) -> Prescription:
     """Build a lens from the contents of its TOML file.
 
-    Parameters
-    ----------
-    data : mapping
-        ``sensor_gap_mm``, optional ``title``, ``source``, ``wavelengths_um``, and a list ``surface`` of
-        tables with ``radius_mm`` (absent: plane), ``thickness_mm``, ``index_d``, ``abbe``,
-        ``clear_diameter_mm``, ``conic``, ``coefficients`` and ``stop = true`` on one of them.
-    name : str
-
-    Raises
-    ------
-    InputError
-        Unknown keys, values of another type, no surface, no stop or several, a stop without diameter, values that are
-        not physical.
+    ``data``: ``sensor_gap_mm``, optional ``title``, ``source``, ``wavelengths_um``, and a list ``surface`` of tables
+    with ``radius_mm`` (absent: plane), ``thickness_mm``, ``index_d``, ``abbe``, ``clear_diameter_mm``, ``conic``,
+    ``coefficients`` and ``stop = true`` on one of them. Raises InputError: unknown keys, values of another type, no
+    surface, no stop or several, a stop without diameter, values that are not physical.
     """
     table = checked(_LensTable, dict(data), where=f"lens {quoted(name)}")
     surfaces = tuple(
@@ -200,21 +188,9 @@ def checked_lens(lens: Prescription) -> Prescription:
 def with_filter_at(lens: Prescription, offset_mm: float) -> Prescription:
     """Move the colour filters off the stop, along the axis.
 
-    Parameters
-    ----------
-    lens : Prescription
-    offset_mm : float
-        + towards the sensor; in front of the first vertex is allowed, as for film on a smartphone's lens.
-
-    Returns
-    -------
-    Prescription
-        With an added filter plane; pupil coordinates stay in units of the stop's radius.
-
-    Raises
-    ------
-    InputError
-        The plane would lie inside a glass or beyond the last vertex.
+    ``offset_mm``: + towards the sensor; in front of the first vertex is allowed, as for film on a smartphone's lens.
+    Returns with an added filter plane; pupil coordinates stay in units of the stop's radius. Raises InputError: the
+    plane would lie inside a glass or beyond the last vertex.
     """
     z = float(lens.vertices_mm[lens.stop_index]) + offset_mm
     if z <= 0:

@@ -35,19 +35,9 @@ def geometric_otf(aperture: Aperture, radius_px: float, shape: tuple[int, int], 
 
     From the mask itself, not from a rasterised kernel: at a radius of 2 px rasterising moves the centroid by 2 %.
 
-    Parameters
-    ----------
-    aperture : Aperture
-    radius_px : float
-        Signed blur radius r.
-    shape : (int, int)
-        Height and width of the image to filter.
-    pixel : bool
-        Multiply by the transfer function of the pixel's square area.
-
-    Returns
-    -------
-    (3, h, w // 2 + 1) complex64, read-only; 1 at frequency 0 (0 for a channel without light)
+    ``radius_px``: signed blur radius r; ``shape`` (int, int): height and width of the image to filter; ``pixel``:
+    multiply by the transfer function of the pixel's square area. Returns (3, h, w // 2 + 1) complex64, read-only; 1 at
+    frequency 0 (0 for a channel without light).
     """
     if shape[0] * shape[1] <= _LARGEST_KEPT:
         return _kept_otf(aperture, float(radius_px), shape, pixel)
@@ -75,24 +65,10 @@ _kept_otf = lru_cache(maxsize=48)(_otf)
 def geometric_psf(aperture: Aperture, radius_px: float, size: int, *, oversampling: int = 1) -> np.ndarray:
     """Compute point-spread functions integrated over pixels, centred in an odd square.
 
-    Parameters
-    ----------
-    aperture : Aperture
-    radius_px : float
-        Signed blur radius r.
-    size : int
-        Side of the result in px, odd, more than twice the radius.
-    oversampling : int
-        Samples per pixel, odd. Whole pixels move a small blur's centroid, at r = 2 px by 2 %.
-
-    Returns
-    -------
-    (3, size * oversampling, size * oversampling) float64, unit sum (0 for a channel without light)
-
-    Raises
-    ------
-    InputError
-        The square cannot hold the blur.
+    ``radius_px``: signed blur radius r; ``size``: side of the result in px, odd, more than twice the radius;
+    ``oversampling``: samples per pixel, odd. Whole pixels move a small blur's centroid, at r = 2 px by 2 %. Returns (3,
+    size * oversampling, size * oversampling) float64, unit sum (0 for a channel without light). Raises InputError: the
+    square cannot hold the blur.
     """
     if size % 2 == 0 or oversampling % 2 == 0 or size < 2 * abs(radius_px) + 1:
         need = 2 * abs(radius_px) + 1

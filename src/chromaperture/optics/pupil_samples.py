@@ -16,20 +16,9 @@ def pupil_samples(aperture: Aperture, cells: int, supersampling: int = 8) -> tup
     Every cell averages finer midpoints, so that a cell cut by a rim is weighted by its area; with an even count a
     division along an axis lies between cells.
 
-    Parameters
-    ----------
-    aperture : Aperture
-    cells : int
-        Cells across the pupil, even.
-    supersampling : int
-        Midpoints across a cell.
-
-    Returns
-    -------
-    points : (S, 2) float64
-        Centre of the part of each cell inside the pupil, pupil radii.
-    weights : (S, 3) float64
-        Fraction of the open pupil's light in R, G, B; over all cells they sum to the channel transmissions.
+    ``cells``: cells across the pupil, even; ``supersampling``: midpoints across a cell. Returns ``points`` (S, 2)
+    float64: centre of the part of each cell inside the pupil, pupil radii; ``weights`` (S, 3) float64: fraction of the
+    open pupil's light in R, G, B; over all cells they sum to the channel transmissions.
     """
     fine = cells * supersampling
     axis = (np.arange(fine) + 0.5) * 2 / fine - 1

@@ -42,12 +42,7 @@ class RayTable:
 def pinhole_rays(camera: PupilCamera, aperture: Aperture, *, cells: int = 20) -> RayTable:
     """Tabulate the rays of a first-order camera; they are linear in the image, so its four corners are enough.
 
-    Parameters
-    ----------
-    camera : PupilCamera
-    aperture : Aperture
-    cells : int
-        Pupil samples across the pupil, even; their number is about 0.8 cells^2.
+    ``cells``: pupil samples across the pupil, even; their number is about 0.8 cells^2.
     """
     points, light = pupil_samples(aperture, cells)
     lit = light.any(axis=1)
@@ -85,22 +80,10 @@ def lens_rays(
 ) -> RayTable:
     """Tabulate the rays of a real lens, traced from the sensor.
 
-    Parameters
-    ----------
-    lens : Prescription
-    aperture : Aperture
-        Pupil coordinates in stop radii, in the plane of the stop or of the filter (see `with_filter_at`).
-    width_px, height_px : int
-    pixel_pitch_mm : float
-    cells : int
-        Pupil samples across the exit pupil, even.
-    nodes : int
-        Image points of the table along the longer side; rays between them are interpolated.
-
-    Raises
-    ------
-    InputError
-        No ray from the middle of the sensor passes, or a rim other than the stop limits it.
+    ``aperture``: pupil coordinates in stop radii, in the plane of the stop or of the filter (see `with_filter_at`);
+    ``cells``: pupil samples across the exit pupil, even; ``nodes``: image points of the table along the longer side;
+    rays between them are interpolated. Raises InputError: no ray from the middle of the sensor passes, or a rim other
+    than the stop limits it.
     """
     data = paraxial(lens)
     longer = max(width_px, height_px)
@@ -196,19 +179,9 @@ def lens_bundle(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Trace the rays of image points through a lens to the scene.
 
-    Parameters
-    ----------
-    lens : Prescription
-    image_mm : (P, 2) float
-        Image points from the image's centre, upright picture, mm on the sensor.
-    wavelength_um : float
-    cells : int
-        Samples across the exit pupil.
-
-    Returns
-    -------
-    origin, slope : (P, S, 2) float64
-        Camera frame, origin in the plane of the entrance pupil, mm. NaN where no ray passes the glass.
+    ``image_mm`` (P, 2) float: image points from the image's centre, upright picture, mm on the sensor; ``cells``:
+    samples across the exit pupil. Returns ``origin, slope`` (P, S, 2) float64: camera frame, origin in the plane of the
+    entrance pupil, mm. NaN where no ray passes the glass.
     """
     points = _exit_points(cells)
     origin, slope, _ = _from_sensor(lens, *_all_pairs(image_mm, points), wavelength_um)
@@ -221,16 +194,7 @@ def lens_light(lens: Prescription, aperture: Aperture, image_mm: np.ndarray, *, 
 
     Vignetting is that of green rays: between the colours these points of the pupil move by about 1e-3 radii.
 
-    Parameters
-    ----------
-    lens : Prescription
-    aperture : Aperture
-    image_mm : (P, 2) float
-    cells : int
-
-    Returns
-    -------
-    (3, P, S) float64; 0 where stop, rims or film block the ray
+    ``image_mm`` (P, 2) float. Returns (3, P, S) float64; 0 where stop, rims or film block the ray.
     """
     data = paraxial(lens)
     points = _exit_points(cells)
@@ -252,20 +216,9 @@ def lens_light(lens: Prescription, aperture: Aperture, image_mm: np.ndarray, *, 
 def chief_rays(lens: Prescription, image_mm: np.ndarray) -> np.ndarray:
     """Trace green rays through the stop's centre.
 
-    Parameters
-    ----------
-    lens : Prescription
-    image_mm : (P, 2) float
-        Image points from the image's centre, upright picture.
-
-    Returns
-    -------
-    (P, 4) float64: origin x, y in the plane of the entrance pupil (mm), slope x, y
-
-    Raises
-    ------
-    InputError
-        The stop's centre cannot be reached from an image point.
+    ``image_mm`` (P, 2) float: image points from the image's centre, upright picture. Returns (P, 4) float64: origin x,
+    y in the plane of the entrance pupil (mm), slope x, y. Raises InputError: the stop's centre cannot be reached from
+    an image point.
     """
     aim = np.zeros((len(image_mm), 2))
     step = 1e-3

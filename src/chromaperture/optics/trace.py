@@ -35,15 +35,9 @@ def trace(
 ) -> TracedRays:
     """Trace rays through a lens.
 
-    Parameters
-    ----------
-    lens : Prescription
-    origin, direction : (N, 3) float, mm
-        Lens frame: z towards the sensor, 0 at the first vertex; x, y as in the camera frame. Directions need not be
-        normalised and must point towards the lens.
-    wavelength_um : float
-    from_sensor : bool
-        Trace from the sensor to the scene.
+    ``origin``, ``direction`` (N, 3) float, mm: lens frame: z towards the sensor, 0 at the first vertex; x, y as in the
+    camera frame. Directions need not be normalised and must point towards the lens; ``from_sensor``: trace from the
+    sensor to the scene.
     """
     order = np.arange(len(lens.surfaces))
     index = lens.indices(wavelength_um)

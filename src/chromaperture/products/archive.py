@@ -66,24 +66,10 @@ def measure_files(
 ) -> Iterator[Written | Failure | Kept]:
     """Measure photographs one after the other; no more than two measurements are in memory.
 
-    Parameters
-    ----------
-    images : sequence of Path
-    camera_of : callable
-        From a photograph to its camera; may raise InputError.
-    listener : callable, optional
-        Called with the name of each stage as it begins, and the index of the photograph.
-    inspect : callable, optional
-        See `Inspect`.
-    origin : Origin, optional
-        With it, photographs whose results are complete are not measured.
-    **options
-        Of `measure_only`, the same for all.
-
-    Yields
-    ------
-    Written, Failure or Kept
-        In the order of the photographs, each as soon as its files are complete.
+    ``camera_of``: from a photograph to its camera; may raise InputError; ``listener``: called with the name of each
+    stage as it begins, and the index of the photograph; ``inspect``: see `Inspect`; ``origin``: with it, photographs
+    whose results are complete are not measured; ``**options``: of `measure_only`, the same for all. Yields Written,
+    Failure or Kept: in the order of the photographs, each as soon as its files are complete.
     """
     with beside() as start:
         before: tuple[Path, Future[Written]] | None = None  # the photograph whose files are being written

@@ -37,57 +37,33 @@ _ONE_AT_A_TIME = threading.Lock()
 
 @dataclass(frozen=True)
 class Recipe:
-    """What all photographs of a run have in common; sent to each worker once. Make it with `recipe_for`.
+    """What all photographs of a run have in common; sent to each worker once. Make it with `recipe_for`."""
 
-    Attributes
-    ----------
-    made_from : tuple of (str, str)
-        Hashes of the camera file, of the settings and of the program, and its version: equal ones give equal results.
-    out : str or None
-        Folder or URL of the results; beside each photograph when None.
-    outputs : tuple of str
-        From `chosen_outputs`, with ``json``.
-    inspect : callable
-        See `Inspect`; of a module that the workers have too.
-    again : bool
-        Measure what is complete, too.
-    """
-
+    # Tuple of (str, str): hashes of the camera file, of the settings and of the program, and its version: equal ones
+    # give equal results.
     made_from: tuple[tuple[str, str], ...]
     calibration: Calibration = field(compare=False)
     config: Config = field(compare=False)
-    out: str | None = None
-    outputs: tuple[str, ...] = ()
+    out: str | None = None  # folder or URL of the results; beside each photograph when None
+    outputs: tuple[str, ...] = ()  # from `chosen_outputs`, with ``json``
     black_level: float | None = None
     white_level: float | None = None
     max_relative_sigma: float = MAX_RELATIVE_SIGMA
+    # See `Inspect`; of a module that the workers have too.
     inspect: Inspect = field(default=measure_everything, compare=False)
-    again: bool = False
+    again: bool = False  # measure what is complete, too
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one photograph.
-
-    Attributes
-    ----------
-    error : str
-        One line; empty where the results are complete.
-    kept : bool
-        The results were complete before.
-    warnings : tuple of str
-    worker : str
-        Where it was measured.
-    version : str
-        Of the package there; empty where the worker could not be reached.
-    """
+    """What became of one photograph."""
 
     image: str
-    error: str = ""
-    kept: bool = False
+    error: str = ""  # one line; empty where the results are complete
+    kept: bool = False  # the results were complete before
     warnings: tuple[str, ...] = ()
-    worker: str = ""
-    version: str = ""
+    worker: str = ""  # where it was measured
+    version: str = ""  # of the package there; empty where the worker could not be reached
 
 
 def recipe_for(
@@ -104,10 +80,7 @@ def recipe_for(
 ) -> Recipe:
     """Put together what workers need; ``json`` is always among the outputs, because it marks what is complete.
 
-    Raises
-    ------
-    InputError
-        An output is unknown, or the camera file cannot be read.
+    Raises InputError: an output is unknown, or the camera file cannot be read.
     """
     chosen = chosen_outputs(write, is_calibrated=camera.calibration.is_calibrated)
     outputs = tuple(name for name in OUTPUTS if name in {*chosen, "json"})
@@ -175,11 +148,8 @@ def _mark(folder: str, stem: str) -> Any:
 def measure_on_cluster(images: Iterable[str], recipe: Recipe, address: str) -> Iterator[Outcome]:
     """Measure photographs on the workers of a scheduler; every one has one outcome, in the order they finish.
 
-    Raises
-    ------
-    InputError
-        The cluster cannot be reached or is lost, no worker is left, or one has another version of the package. What is
-        complete is kept, and the same call goes on from there.
+    Raises InputError: the cluster cannot be reached or is lost, no worker is left, or one has another version of the
+    package. What is complete is kept, and the same call goes on from there.
     """
     with connected(address) as client:
         for finished in run_tasks(client, measure_photograph, map(store.absolute, images), recipe):
@@ -197,15 +167,8 @@ def measure_on_cluster(images: Iterable[str], recipe: Recipe, address: str) -> I
 def measure_photograph(image: str, recipe: Recipe) -> Outcome:
     """Measure a photograph and write its results, unless they are complete; runs on a worker.
 
-    Returns
-    -------
-    Outcome
-        With the error of a photograph that cannot be measured. The cluster tries no such photograph again.
-
-    Raises
-    ------
-    StoreError
-        A store failed in a way that may pass; Dask tries again.
+    Returns with the error of a photograph that cannot be measured. The cluster tries no such photograph again. Raises
+    StoreError: a store failed in a way that may pass; Dask tries again.
     """
     version = metadata.version("chromaperture")
     here = _worker()

@@ -59,18 +59,8 @@ def find_photographs(
 
     A pattern is one of `glob`, ``**`` for folders at any depth. Everything else is returned as given.
 
-    Parameters
-    ----------
-    inputs : iterable of str
-    kind : callable
-        See `one_of_each`.
-    left_out : dict, optional
-        Gets the pictures and videos that were left out, with the reason.
-
-    Raises
-    ------
-    InputError
-        A folder or a pattern has no photographs, or a store cannot be listed.
+    ``kind``: see `one_of_each`; ``left_out``: gets the pictures and videos that were left out, with the reason. Raises
+    InputError: a folder or a pattern has no photographs, or a store cannot be listed.
     """
     photographs: list[str] = []
     for given in inputs:
@@ -183,10 +173,7 @@ def remove(folder: str, name: str) -> None:
 def upload(files: Iterable[Path], folder: str) -> None:
     """Put files into a store in this order, each visible only when it is whole.
 
-    Raises
-    ------
-    InputError
-        The store refuses; StoreError where another attempt may succeed.
+    Raises InputError: the store refuses; StoreError where another attempt may succeed.
     """
     with _reported("write to", folder):
         store, inside = _opened(folder)

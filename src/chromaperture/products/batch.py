@@ -26,18 +26,8 @@ DIED = "the process that measured it died, perhaps for lack of memory; run again
 def measure_in_processes(images: Sequence[str], recipe: Recipe, *, jobs: int) -> Iterator[Outcome]:
     """Measure photographs, ``jobs`` at a time, each process with its share of the threads.
 
-    Parameters
-    ----------
-    images : sequence of str
-        Absolute paths.
-    recipe : Recipe
-    jobs : int
-        Each needs the memory of one measurement.
-
-    Yields
-    ------
-    Outcome
-        One for each photograph, in the order they finish. An abandoned iteration ends the processes.
+    ``images``: absolute paths; ``jobs``: each needs the memory of one measurement. Yields one for each photograph, in
+    the order they finish. An abandoned iteration ends the processes.
     """
     waiting, lock = iter(images), threading.Lock()
     finished: SimpleQueue[Outcome] = SimpleQueue()

@@ -188,10 +188,7 @@ def measure_only(
 ) -> MeasuredFile:
     """Measure one image file; `MeasuredFile.write` writes the results. Parameters as `measure_file`.
 
-    Raises
-    ------
-    InputError
-        The image cannot be used, or an output is unknown.
+    Raises InputError: the image cannot be used, or an output is unknown.
     """
     path = Path(path)
     outputs = chosen_outputs(write, is_calibrated=camera.calibration.is_calibrated)

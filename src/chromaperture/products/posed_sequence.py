@@ -53,30 +53,13 @@ def write_posed(
 ) -> int:
     """Write a sequence; the folder appears when it is complete.
 
-    Parameters
-    ----------
-    folder : str or Path
-        Must not exist.
-    frames : iterable of View
-    form : {"colmap", "nerfstudio", "open3d"}
-        ``colmap``: images/, depth_mm/ and the text model sparse/0; ``nerfstudio``: images/, depth_mm/, transforms.json
-        and points_m.ply; ``open3d``: color/, depth/ and camera_intrinsic.json, for which no poses are needed.
-    camera_matrix : (3, 3) float, px
-    poses : callable, optional
-        Called when all frames have been seen, with their (index, time_s); returns the (4, 4) pose of each, camera to
-        world, mm, by its index. Frames without one are left out.
-    max_relative_sigma : float
-        Largest sigma / depth of the depth and the points; see `within_error`.
-
-    Returns
-    -------
-    int
-        Frames written.
-
-    Raises
-    ------
-    InputError
-        The folder exists or cannot be written, the disk is full, or no frame has a pose.
+    ``folder``: must not exist; ``form`` {"colmap", "nerfstudio", "open3d"}: ``colmap``: images/, depth_mm/ and the text
+    model sparse/0; ``nerfstudio``: images/, depth_mm/, transforms.json and points_m.ply; ``open3d``: color/, depth/ and
+    camera_intrinsic.json, for which no poses are needed; ``camera_matrix`` (3, 3) float, px; ``poses``: called when all
+    frames have been seen, with their (index, time_s); returns the (4, 4) pose of each, camera to world, mm, by its
+    index. Frames without one are left out; ``max_relative_sigma``: largest sigma / depth of the depth and the points;
+    see `within_error`. Returns frames written. Raises InputError: the folder exists or cannot be written, the disk is
+    full, or no frame has a pose.
     """
     folder = Path(folder)
     if folder.exists():
@@ -212,15 +195,8 @@ def read_trajectory(path: str | Path) -> Callable[[list[tuple[int, float]]], dic
     Lines are ``time tx ty tz qx qy qz qw``: s and m, camera to world. Only the lines before a second "# submap", which
     has an origin of its own, are taken.
 
-    Returns
-    -------
-    callable
-        From (index, time_s) of frames to their poses, (4, 4), mm; for `write_posed`.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read, or a line is no pose.
+    Returns from (index, time_s) of frames to their poses, (4, 4), mm; for `write_posed`. Raises InputError: the file
+    cannot be read, or a line is no pose.
     """
     path = Path(path)
     poses: dict[float, np.ndarray] = {}

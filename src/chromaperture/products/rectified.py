@@ -18,25 +18,16 @@ from chromaperture.system.errors import InputError
 
 @dataclass(frozen=True)
 class View:
-    """Picture of a pinhole camera without distortion, centred in the entrance pupil.
+    """Picture of a pinhole camera without distortion, centred in the entrance pupil."""
 
-    Attributes
-    ----------
-    color : (H, W, 3) uint8
-        sRGB.
-    z_mm, sigma_mm : (H, W) float32
-        Distance from the pupil along the axis and its standard deviation; NaN unknown.
-    time_s : float
-    index : int
-    confidence : (H, W) float32 in [0, 1], NaN outside the frame; None where it is not known
-    """
-
-    color: np.ndarray
+    color: np.ndarray  # (H, W, 3) uint8: sRGB
+    # ``z_mm``, ``sigma_mm``: (H, W) float32: distance from the pupil along the axis and its standard deviation; NaN
+    # unknown.
     z_mm: np.ndarray
     sigma_mm: np.ndarray
     time_s: float = 0.0
     index: int = 0
-    confidence: np.ndarray | None = None
+    confidence: np.ndarray | None = None  # (H, W) float32 in [0, 1], NaN outside the frame; None where it is not known
 
     @property
     def time_ns(self) -> int:

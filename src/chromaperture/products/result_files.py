@@ -25,42 +25,24 @@ _PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "<i2", "ushort": "<u2", "int
 
 @dataclass(frozen=True)
 class StoredDepth:
-    """A depth map as a file holds it, and its error bar, where that is beside it.
-
-    Attributes
-    ----------
-    name : str
-    depth_mm : (H, W) float32, mm, NaN unknown
-    sigma_mm : (H, W) float32, mm, one standard deviation; None where there is no file of it
-    """
+    """A depth map as a file holds it, and its error bar, where that is beside it."""
 
     name: str
-    depth_mm: np.ndarray
-    sigma_mm: np.ndarray | None = None
+    depth_mm: np.ndarray  # (H, W) float32, mm, NaN unknown
+    sigma_mm: np.ndarray | None = None  # (H, W) float32, mm, one standard deviation; None where there is no file of it
 
 
 @dataclass(frozen=True)
 class StoredResult:
-    """The results that lie beside each other under one name; what is missing is None.
-
-    Attributes
-    ----------
-    name : str
-    maps : dict of str to (H, W) float32
-        By their names in `OUTPUTS` (``depth``, ``sigma``, ``disparity``), ``confidence`` of an EXR file, or ``map`` of
-        a file of another name.
-    picture : (H, W, 3) uint8, optional
-        sRGB.
-    cloud : PointCloud, optional
-    summary : Path, optional
-        The JSON file.
-    """
+    """The results that lie beside each other under one name; what is missing is None."""
 
     name: str
+    # Dict of str to (H, W) float32: by their names in `OUTPUTS` (``depth``, ``sigma``, ``disparity``), ``confidence``
+    # of an EXR file, or ``map`` of a file of another name.
     maps: dict[str, np.ndarray] = field(default_factory=dict)
-    picture: np.ndarray | None = None
+    picture: np.ndarray | None = None  # (H, W, 3) uint8: sRGB
     cloud: PointCloud | None = None
-    summary: Path | None = None
+    summary: Path | None = None  # the JSON file
 
 
 def stem_and_output(path: Path) -> tuple[str, str | None]:
@@ -77,18 +59,9 @@ def stem_and_output(path: Path) -> tuple[str, str | None]:
 def read_depth(path: str | Path, *, name: str | None = None) -> StoredDepth:
     """Read a depth map in mm, and the error bar of ``STEM.sigma.tiff`` beside ``STEM.depth.tiff`` or ``.png``.
 
-    Parameters
-    ----------
-    path : str or Path
-        Float TIFF or NumPy array in mm, NaN unknown; 16-bit PNG in whole mm, 0 unknown; or our EXR. Of other results
-        of ``chromaperture depth`` the depth map beside them is taken.
-    name : str, optional
-        How it is called in messages and on pages; that of the file when absent.
-
-    Raises
-    ------
-    InputError
-        There is no such file, or it holds no map.
+    ``path``: float TIFF or NumPy array in mm, NaN unknown; 16-bit PNG in whole mm, 0 unknown; or our EXR. Of other
+    results of ``chromaperture depth`` the depth map beside them is taken; ``name``: how it is called in messages and on
+    pages; that of the file when absent. Raises InputError: there is no such file, or it holds no map.
     """
     path = Path(path)
     stem, output = stem_and_output(path)
@@ -117,10 +90,7 @@ def picture_beside(path: Path) -> np.ndarray | None:
 def read_result(path: str | Path) -> StoredResult:
     """Read all results that lie beside a file of ``chromaperture depth``; of another file, its map or its points.
 
-    Raises
-    ------
-    InputError
-        There is no such file, or it holds nothing that can be shown.
+    Raises InputError: there is no such file, or it holds nothing that can be shown.
     """
     path = Path(path)
     if not path.is_file():
@@ -182,10 +152,7 @@ def _picture(path: Path) -> np.ndarray:
 def read_ply(path: str | Path) -> PointCloud:
     """Read the points of a binary PLY in mm; faces are left out, points without colours are grey.
 
-    Raises
-    ------
-    InputError
-        The file is damaged, or not binary and little-endian.
+    Raises InputError: the file is damaged, or not binary and little-endian.
     """
     path = Path(path)
     data = read_bytes(path, most_bytes=_MOST_BYTES)

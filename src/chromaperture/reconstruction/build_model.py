@@ -31,27 +31,9 @@ def reconstruct(
 ) -> Reconstruction:
     """Measure, track and fuse frames until they end, or until Ctrl-C: then return the model so far.
 
-    Parameters
-    ----------
-    frames : iterable of Frame
-    camera : CodedApertureCamera
-        Calibrated.
-    config : ReconstructionConfig, optional
-    listener : callable, optional
-        Receives messages for the user, one line each.
-    progress : callable, optional
-        Receives the result of every frame.
-
-    Returns
-    -------
-    Reconstruction
-
-    Raises
-    ------
-    MissingDependencyError
-        The extra ``reconstruct`` is not installed.
-    InputError
-        A camera that was never calibrated, no frame, or none with depth.
+    ``camera``: calibrated; ``listener``: receives messages for the user, one line each; ``progress``: receives the
+    result of every frame. Raises MissingDependencyError: the extra ``reconstruct`` is not installed. Raises InputError:
+    a camera that was never calibrated, no frame, or none with depth.
     """
     open3d()
     camera, frames = of_stream(camera, frames)

@@ -24,17 +24,8 @@ def cleaned(view: View, config: ReconstructionConfig) -> View:
 def near_steps(z_mm: np.ndarray, *, jump: float, reach_px: int) -> np.ndarray:
     """Find flying pixels: those near a relative step of depth.
 
-    Parameters
-    ----------
-    z_mm : (H, W) float32, NaN unknown
-    jump : float
-        Least step relative to the distance.
-    reach_px : int
-        Half width of the neighbourhood.
-
-    Returns
-    -------
-    (H, W) bool
+    ``z_mm`` (H, W) float32, NaN unknown; ``jump``: least step relative to the distance; ``reach_px``: half width of the
+    neighbourhood. Returns (H, W) bool.
     """
     known = np.isfinite(z_mm) & (z_mm > 0)
     inverse = np.where(known, 1.0 / np.where(known, z_mm, 1.0), np.nan).astype(np.float32)  # planes are linear in 1 / z

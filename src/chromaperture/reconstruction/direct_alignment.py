@@ -99,22 +99,10 @@ def align(
 ) -> Alignment:
     """Find the motion from keyframe to camera.
 
-    Parameters
-    ----------
-    points : list of (N, 7) float32
-        `select_points` of the keyframe's levels, the finest first.
-    camera : list of Level
-    motion : (4, 4) float
-        Initial guess, keyframe to camera, mm.
-    depth_weight : float
-        Weight of a pixel's distance relative to its brightness; below 1 because errors of neighbours are correlated.
-    outlier_mm : float
-        Points whose distance differs by more are outliers.
-
-    Returns
-    -------
-    Alignment
-        Not `solved` where brightness and distances leave the motion undetermined.
+    ``points`` list of (N, 7) float32: `select_points` of the keyframe's levels, the finest first; ``motion`` (4, 4)
+    float: initial guess, keyframe to camera, mm; ``depth_weight``: weight of a pixel's distance relative to its
+    brightness; below 1 because errors of neighbours are correlated; ``outlier_mm``: points whose distance differs by
+    more are outliers. Returns not `solved` where brightness and distances leave the motion undetermined.
     """
     motion = _best_rotation(points[-1], camera[len(points) - 1], np.array(motion, float), outlier_mm)
     found, brightness = Alignment(motion), np.array([1.0, 0.0])  # gain and offset

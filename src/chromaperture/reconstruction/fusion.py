@@ -71,12 +71,8 @@ class Submap:
 class Reconstruction:
     """A growing model.
 
-    Parameters
-    ----------
-    camera_matrix : (3, 3) float, px
-    config : ReconstructionConfig
-    listener : callable, optional
-        Receives a line when tracking is lost or found again, a submap begins or is joined, or the volume is full.
+    ``camera_matrix`` (3, 3) float, px; ``listener``: receives a line when tracking is lost or found again, a submap
+    begins or is joined, or the volume is full.
     """
 
     def __init__(

@@ -11,11 +11,7 @@ _MAX_RATIO = 3.0  # of the predicted interval to the one that the velocity was m
 class ConstantVelocity:
     """Motion of a camera between its last two poses.
 
-    Parameters
-    ----------
-    pose : (4, 4) float
-        First pose, camera to world, mm; at rest.
-    time_s : float
+    ``pose`` (4, 4) float: first pose, camera to world, mm; at rest.
     """
 
     def __init__(self, pose: np.ndarray, time_s: float) -> None:

@@ -55,21 +55,10 @@ def cast_rays(
 ) -> np.ndarray:
     """Return the distance of the first surface along every pixel's ray, seen from its front.
 
-    Parameters
-    ----------
-    voxels : two (capacity, EDGE, EDGE, EDGE) float32
-        Signed distance in units of the truncation, weight; axes z, y, x.
-    blocks : Blocks
-    matrix : (3, 3) float64, px
-    camera_to_world : (4, 4) float64, mm
-    size : height, width, px
-    voxel_mm, truncation_mm, max_distance_mm : float
-    min_weight : float
-        From which a voxel counts as known.
-
-    Returns
-    -------
-    (H, W) float32 mm along the optical axis, NaN where there is none
+    ``voxels`` two (capacity, EDGE, EDGE, EDGE) float32: signed distance in units of the truncation, weight; axes z, y,
+    x; ``matrix`` (3, 3) float64, px; ``camera_to_world`` (4, 4) float64, mm; ``size`` height, width, px;
+    ``min_weight``: from which a voxel counts as known. Returns (H, W) float32 mm along the optical axis, NaN where
+    there is none.
     """
     z_mm = np.full(size, np.nan, np.float32)
     if len(blocks.keys) == 0:
@@ -87,15 +76,7 @@ def enlarged_distances(z_mm: np.ndarray, factor: int, size: tuple[int, int]) -> 
 
     Next to what is unknown and at steps the distance is that of the nearest pixel.
 
-    Parameters
-    ----------
-    z_mm : (rows, columns) float32, NaN unknown
-    factor : int
-    size : height, width
-
-    Returns
-    -------
-    (H, W) float32, NaN unknown
+    ``z_mm`` (rows, columns) float32, NaN unknown; ``size`` height, width. Returns (H, W) float32, NaN unknown.
     """
     inverse = np.nan_to_num(1 / z_mm)
     shift = (1 / factor - 1) / 2  # of the reduced picture's first pixel, whose centre is between the full one's

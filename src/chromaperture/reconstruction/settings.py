@@ -9,59 +9,33 @@ from chromaperture.system.errors import InputError
 
 @dataclass(frozen=True)
 class ReconstructionConfig:
-    """Settings of cleaning, tracking and fusion; chosen by hand unless a measurement is stated.
+    """Settings of cleaning, tracking and fusion; chosen by hand unless a measurement is stated."""
 
-    Attributes
-    ----------
-    voxel_mm : float or None
-        Edge of a voxel; None takes 1/200 of the first view's median distance.
-    truncation_voxels : float
-        Upper limit of the truncation in front of and behind the surface, which is three standard deviations.
-    max_distance_mm : float
-        Farther points are removed.
-    max_relative_sigma : float
-        Pixels whose standard deviation exceeds this fraction of their distance are removed. docs/measurements.md:
-        narrower limits do not help.
-    edge_jump : float
-        Relative step of distance within ``edge_px`` from which a pixel is a flying one.
-    edge_px : int
-        Half width of the neighbourhood in which a step is searched.
-    memory_mb : int
-        Memory of the volume, reserved at once; fixes the number of its blocks.
-    tracking_scale : int
-        Tracking works on pictures reduced by this factor.
-    outlier_mm : float
-        Points farther from the model are outliers; at 2 m, proportional to the distance beyond.
-    depth_weight : float
-        Weight of a pixel's distance relative to its brightness in tracking; far below 1 because errors of
-        neighbours are correlated. docs/measurements.md compares weights.
-    min_overlap : float
-        Fraction of the keyframe's points that must be visible at their distance, else the frame is lost.
-    min_correlation : float
-        Of the view's brightness with the keyframe's at the estimated pose, else the frame is lost.
-    max_step_mm, max_turn_deg : float
-        Largest difference between the estimated pose and its guess, else the frame is lost.
-    submap_after : int
-        Frames lost in a row after which a new submap begins.
-    fuse_every : int
-        Of frames that follow each other one in so many is fused; a new keyframe is in any case. All are tracked.
-    """
-
-    voxel_mm: float | None = None
+    voxel_mm: float | None = None  # edge of a voxel; None takes 1/200 of the first view's median distance
+    # Upper limit of the truncation in front of and behind the surface, which is three standard deviations.
     truncation_voxels: float = 8.0
-    max_distance_mm: float = 6000.0
+    max_distance_mm: float = 6000.0  # farther points are removed
+    # Pixels whose standard deviation exceeds this fraction of their distance are removed. docs/measurements.md:
+    # narrower limits do not help.
     max_relative_sigma: float = 0.08
-    edge_jump: float = 0.04
-    edge_px: int = 3
-    memory_mb: int = 512
-    tracking_scale: int = 2
-    outlier_mm: float = 150.0
+    edge_jump: float = 0.04  # relative step of distance within ``edge_px`` from which a pixel is a flying one
+    edge_px: int = 3  # half width of the neighbourhood in which a step is searched
+    memory_mb: int = 512  # memory of the volume, reserved at once; fixes the number of its blocks
+    tracking_scale: int = 2  # tracking works on pictures reduced by this factor
+    outlier_mm: float = 150.0  # points farther from the model are outliers; at 2 m, proportional to the distance beyond
+    # Weight of a pixel's distance relative to its brightness in tracking; far below 1 because errors of neighbours are
+    # correlated. docs/measurements.md compares weights.
     depth_weight: float = 0.03
+    # Fraction of the keyframe's points that must be visible at their distance, else the frame is lost.
     min_overlap: float = 0.3
+    # Of the view's brightness with the keyframe's at the estimated pose, else the frame is lost.
     min_correlation: float = 0.5
+    # ``max_step_mm``, ``max_turn_deg``: Largest difference between the estimated pose and its guess, else the frame is
+    # lost.
     max_step_mm: float = 300.0
     max_turn_deg: float = 20.0
-    submap_after: int = 10
+    submap_after: int = 10  # frames lost in a row after which a new submap begins
+    # Of frames that follow each other one in so many is fused; a new keyframe is in any case. All are tracked.
     fuse_every: int = 1
 
     def __post_init__(self) -> None:

@@ -71,18 +71,10 @@ def in_order(mesh: Mesh) -> Mesh:
 class Volume:
     """Voxels near surfaces, in blocks of 16^3.
 
-    Parameters
-    ----------
-    voxel_mm : float
-    truncation_voxels : float
-    memory_mb : int
-        Fixes the number of blocks; when they are used up, `full` turns true and nothing outside them is fused.
-    max_distance_mm : float
+    ``memory_mb``: fixes the number of blocks; when they are used up, `full` turns true and nothing outside them is
+    fused.
 
-    Attributes
-    ----------
-    grid : open3d.t.geometry.VoxelBlockGrid
-        Metres.
+    ``grid``: metres.
     """
 
     def __init__(self, *, voxel_mm: float, truncation_voxels: float, memory_mb: int, max_distance_mm: float) -> None:

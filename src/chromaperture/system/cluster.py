@@ -51,10 +51,7 @@ def connected(address: str) -> Iterator[Any]:
 
     ``tls://`` uses the certificates of Dask's configuration (``distributed.comm.tls``).
 
-    Raises
-    ------
-    InputError
-        No scheduler answers, there are no workers, or workers have another version of the package.
+    Raises InputError: no scheduler answers, there are no workers, or workers have another version of the package.
     """
     dask = dask_distributed()
     with _silent():
@@ -93,28 +90,11 @@ def run_tasks(
     Dask runs the task of a worker that died on another one. A task during which workers died repeatedly is run once
     more when all others are finished, by itself: one that takes a worker's whole memory also ends its neighbours.
 
-    Parameters
-    ----------
-    client
-        From `connected`.
-    function : callable
-        Of a module that the workers have too.
-    tasks : iterable
-        No more than `AT_ONCE` are taken from it ahead of the results.
-    *shared
-        Sent to each worker once, and again to workers that join.
-    key_of : callable, optional
-        Name of a task at the scheduler, which runs equal names once; every task when absent.
-
-    Yields
-    ------
-    Finished
-        As they finish; ``error`` is a `WorkersDiedError`, or what the function raised in the last of its attempts.
-
-    Raises
-    ------
-    InputError
-        The scheduler was lost, or no worker is left.
+    ``client``: from `connected`; ``function``: of a module that the workers have too; ``tasks``: no more than `AT_ONCE`
+    are taken from it ahead of the results; ``*shared``: sent to each worker once, and again to workers that join;
+    ``key_of``: name of a task at the scheduler, which runs equal names once; every task when absent. Yields as they
+    finish; ``error`` is a `WorkersDiedError`, or what the function raised in the last of its attempts. Raises
+    InputError: the scheduler was lost, or no worker is left.
     """
     # A task whose result is the argument, and not scattered data: Dask makes it again when the worker with it dies.
     sent = [client.submit(_same, argument, pure=False) for argument in shared]

@@ -30,10 +30,7 @@ _DIGEST = hashlib.sha256().digest_size  # bytes
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Decorate a kernel that Python calls; it releases the interpreter's lock.
 
-    Parameters
-    ----------
-    **options
-        Of ``numba.njit``.
+    ``**options``: of ``numba.njit``.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:

@@ -22,10 +22,7 @@ def available_bytes() -> float:
 
     inf where the system does not tell.
 
-    Raises
-    ------
-    InputError
-        `LIMIT` is no number.
+    Raises InputError: `LIMIT` is no number.
     """
     containers = (_of_container(*files) for files in _CGROUPS)
     return max(0.0, min(_of_machine(), *containers, address_space_bytes(), limit_bytes()))
@@ -48,13 +45,7 @@ def limit_bytes() -> float:
 def check_memory(what: str, needed_bytes: float, *, advice: str) -> None:
     """Raise OutOfMemoryError where work would need more memory than there is.
 
-    Parameters
-    ----------
-    what : str
-        Begins the message, such as "a.png, 24 megapixels".
-    needed_bytes : float
-    advice : str
-        Ends the message.
+    ``what``: begins the message, such as "a.png, 24 megapixels"; ``advice``: ends the message.
     """
     available = available_bytes()
     if needed_bytes > available:

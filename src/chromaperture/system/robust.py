@@ -12,13 +12,7 @@ HUBER = 1.345  # standard deviations at which Huber's loss turns linear: 95 % ef
 def robust_sigma(residuals: np.ndarray) -> float:
     """Estimate the standard deviation about 0 from the median absolute value; NaN is missing, and the result if all is.
 
-    Parameters
-    ----------
-    residuals : array of float
-
-    Returns
-    -------
-    float, in the unit of the residuals
+    Returns float, in the unit of the residuals.
     """
     known = np.abs(residuals[np.isfinite(residuals)])
     return MAD_TO_SIGMA * float(np.median(known)) if known.size else float("nan")
@@ -27,13 +21,6 @@ def robust_sigma(residuals: np.ndarray) -> float:
 def huber_weights(standardised: np.ndarray) -> np.ndarray:
     """Weights of iteratively reweighted least squares for Huber's loss.
 
-    Parameters
-    ----------
-    standardised : array of float
-        Residuals over their standard deviations.
-
-    Returns
-    -------
-    array of float in (0, 1]
+    ``standardised``: residuals over their standard deviations. Returns array of float in (0, 1].
     """
     return np.asarray(HUBER / np.maximum(np.abs(standardised), HUBER))

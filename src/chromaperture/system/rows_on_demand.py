@@ -10,19 +10,11 @@ import numpy as np
 
 @dataclass(frozen=True)
 class RowsOnDemand:
-    """A map (H, W) or (H, W, C) that only gives slices of rows, each made anew.
-
-    Attributes
-    ----------
-    shape : tuple of int
-    dtype : numpy.dtype
-    make : callable
-        From a slice of rows to their array.
-    """
+    """A map (H, W) or (H, W, C) that only gives slices of rows, each made anew."""
 
     shape: tuple[int, ...]
     dtype: np.dtype
-    make: Callable[[slice], np.ndarray]
+    make: Callable[[slice], np.ndarray]  # from a slice of rows to their array
 
     def __getitem__(self, rows: slice) -> np.ndarray:
         return self.make(rows)

@@ -57,10 +57,7 @@ def free_scratch_bytes() -> float:
 def scratch_array(shape: tuple[int, ...]) -> np.ndarray:
     """Return a float32 array of zeros in a file that is gone with the array, also when the process is killed.
 
-    Raises
-    ------
-    OutOfMemoryError
-        The disk is full, or cannot be written.
+    Raises OutOfMemoryError: the disk is full, or cannot be written.
     """
     size = 4 * math.prod(shape)
     try:

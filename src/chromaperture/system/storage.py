@@ -48,10 +48,7 @@ def staged(folder: str | Path) -> Iterator[Stage]:
 
     What a killed process left in the folder is removed.
 
-    Raises
-    ------
-    InputError
-        The folder cannot be created or written to, or the disk is full.
+    Raises InputError: the folder cannot be created or written to, or the disk is full.
     """
     folder, moved = Path(folder), 0
     try:

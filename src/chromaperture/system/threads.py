@@ -84,13 +84,8 @@ def limited_opencv_threads(count: int) -> Iterator[None]:
 def in_parallel(work: Callable[[int, int, int], None], count: int, *, threads: int | None = None) -> None:
     """Run ``work(thread, first, last)`` over ``count`` pieces, in contiguous portions.
 
-    Parameters
-    ----------
-    work : callable
-        Called once for each thread, with its number and its pieces from ``first`` to before ``last``.
-    count : int
-    threads : int, optional
-        At most this many; `thread_count` when absent.
+    ``work``: called once for each thread, with its number and its pieces from ``first`` to before ``last``;
+    ``threads``: at most this many; `thread_count` when absent.
     """
     threads = min(thread_count() if threads is None else threads, count)
     if threads == 1:

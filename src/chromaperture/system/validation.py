@@ -51,10 +51,8 @@ class Table(BaseModel):
 def read_bytes(path: str | Path, *, most_bytes: int) -> bytes:
     """Read a regular file whole.
 
-    Raises
-    ------
-    InputError
-        It is missing, cannot be read, is no regular file (a folder, device or pipe), or is larger than ``most_bytes``.
+    Raises InputError: it is missing, cannot be read, is no regular file (a folder, device or pipe), or is larger than
+    ``most_bytes``.
     """
     try:
         # Opening a pipe would wait for a writer.
@@ -99,18 +97,8 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 def checked(kind: type[M], tree: Any, *, where: str) -> M:
     """Check a tree of plain values against a table, and return that.
 
-    Parameters
-    ----------
-    kind : type
-    tree : plain values
-        From TOML, JSON or YAML.
-    where : str
-        The file, for messages.
-
-    Raises
-    ------
-    InputError
-        An unknown or missing key, a value of another type or out of its range; the message names it.
+    ``tree``: from TOML, JSON or YAML; ``where``: the file, for messages. Raises InputError: an unknown or missing key,
+    a value of another type or out of its range; the message names it.
     """
     try:
         return kind.model_validate(_tuples(tree))

@@ -31,18 +31,9 @@ def annulus_radius(
 ) -> np.ndarray:
     """Find the size of the blur, whose sign this design does not determine.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float, linear
-    transfer : list of (3, h, w // 2 + 1) complex
-        Of R, G, B at each radius, on the padded grid.
-    radii_px : (D,) float, >= 0, evenly spaced
-    padded : (h, w)
-        At least the image's size; the picture is mirrored into the rest.
-
-    Returns
-    -------
-    (H, W) float64, px; NaN where the largest radius is best
+    ``image`` (H, W, 3) float, linear; ``transfer`` list of (3, h, w // 2 + 1) complex: of R, G, B at each radius, on
+    the padded grid; ``radii_px`` (D,) float, >= 0, evenly spaced; ``padded`` (h, w): at least the image's size; the
+    picture is mirrored into the rest. Returns (H, W) float64, px; NaN where the largest radius is best.
     """
     height, width = image.shape[:2]
     rims = (0, padded[0] - height, 0, padded[1] - width)

@@ -21,16 +21,8 @@ def colour_line_measure(image: np.ndarray, directions: np.ndarray, layers_px: np
     With eigenvalues l_i and channel variances s_c^2, L = l_0 l_1 l_2 / (s_r^2 s_g^2 s_b^2) in [0, 1]: 0 for colours on
     a line or plane, 1 for uncorrelated channels.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float
-    directions : (3, 2) float
-        Displacement (x, y) of R, G, B per px of disparity.
-    layers_px : (D,) float
-
-    Returns
-    -------
-    (D, H, W) float64
+    ``image`` (H, W, 3) float; ``directions`` (3, 2) float: displacement (x, y) of R, G, B per px of disparity;
+    ``layers_px`` (D,) float. Returns (D, H, W) float64.
     """
     measure = np.empty((len(layers_px), *image.shape[:2]))
     planes = [spline(image[..., c]) for c in range(3)]
@@ -52,9 +44,7 @@ def colour_lines(
 
     The original optimises a Markov random field by graph cuts; here semi-global paths replace them.
 
-    Returns
-    -------
-    (H, W) float64, px; NaN at the ends of the range
+    Returns (H, W) float64, px; NaN at the ends of the range.
     """
     measure = colour_line_measure(image, directions, layers_px)
     if not optimised:

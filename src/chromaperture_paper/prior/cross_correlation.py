@@ -15,17 +15,8 @@ _BLOCK_PX, _STEP_PX = 32, 4  # size and distance of the blocks of the phase corr
 def cross_correlation(views: np.ndarray, directions: np.ndarray, layers_px: np.ndarray) -> np.ndarray:
     """Match views by the sum of their normalised cross-correlations.
 
-    Parameters
-    ----------
-    views : (H, W, K) float
-        Sensor channels or unmixed views.
-    directions : (K, 2) float
-        Displacement (x, y) of each view per px of disparity.
-    layers_px : (D,) float
-
-    Returns
-    -------
-    (H, W) float64, px; NaN at the ends of the range
+    ``views`` (H, W, K) float: sensor channels or unmixed views; ``directions`` (K, 2) float: displacement (x, y) of
+    each view per px of disparity; ``layers_px`` (D,) float. Returns (H, W) float64, px; NaN at the ends of the range.
     """
     planes = [spline(views[..., k]) for k in range(views.shape[2])]
     score = np.zeros((len(layers_px), *views.shape[:2]))
@@ -48,9 +39,7 @@ def phase_correlation(views: np.ndarray, directions: np.ndarray, layers_px: np.n
 
     is largest at the disparity. Only frequencies below a quarter of the sampling rate are used: above, noise dominates.
 
-    Returns
-    -------
-    (H, W) float64, px; interpolated between the blocks
+    Returns (H, W) float64, px; interpolated between the blocks.
     """
     height, width, count = views.shape
     half = _BLOCK_PX // 2

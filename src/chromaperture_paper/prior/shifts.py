@@ -45,14 +45,7 @@ def box(picture: np.ndarray) -> np.ndarray:
 def best_layer(score: np.ndarray, layers_px: np.ndarray) -> np.ndarray:
     """Return the disparity of the largest score, refined by a parabola; NaN at the ends of the range.
 
-    Parameters
-    ----------
-    score : (D, H, W) float
-    layers_px : (D,) float, evenly spaced
-
-    Returns
-    -------
-    (H, W) float64, px
+    ``score`` (D, H, W) float; ``layers_px`` (D,) float, evenly spaced. Returns (H, W) float64, px.
     """
     best = score.argmax(axis=0)
     inner = np.clip(best, 1, len(layers_px) - 2)

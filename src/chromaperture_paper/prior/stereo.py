@@ -11,17 +11,8 @@ _BLOCK_PX = 7  # chosen by hand
 def stereo_sgbm(views: np.ndarray, directions: np.ndarray, layers_px: np.ndarray) -> np.ndarray:
     """Match two views that move along x as a stereo pair.
 
-    Parameters
-    ----------
-    views : (H, W, 2) float
-    directions : (2, 2) float
-        Opposed, along x.
-    layers_px : (D,) float
-        Its ends are the range.
-
-    Returns
-    -------
-    (H, W) float64, px of half disparity in the centre view; NaN where OpenCV has no match
+    ``views`` (H, W, 2) float; ``directions`` (2, 2) float: opposed, along x; ``layers_px`` (D,) float: its ends are the
+    range. Returns (H, W) float64, px of half disparity in the centre view; NaN where OpenCV has no match.
     """
     left, right = (1, 0) if directions[1, 0] > directions[0, 0] else (0, 1)
     pair = [_bytes(views[..., k]) for k in (left, right)]

@@ -21,15 +21,8 @@ from chromaperture.matching.compiled.windows import copy, window_end, window_row
 def score_band(pictures, plan, band, scratch, volume, maps):
     """Fill a band of the volume of scores, filtered along x, and the maps that the filter along y needs.
 
-    Parameters
-    ----------
-    pictures : Pictures
-    plan : Plan
-    band : Band
-    scratch : Scratch
-    volume : (blocks, H, D8 / 8, BLOCK, 8) flat; written
-        int16 of plain scores, float32 of filtered ones.
-    maps : RowMaps; written
+    ``volume`` (blocks, H, D8 / 8, BLOCK, 8) flat; written: int16 of plain scores, float32 of filtered ones; ``maps``
+    RowMaps; written.
     """
     samplings, layers, numbers = plan.samplings, plan.layers, plan.numbers
     pad_x, pad_y, halo = plan.pad_x, plan.pad_y, plan.halo

@@ -70,13 +70,7 @@ class _Plan(NamedTuple):
 def cell_scores(views: Views, layers_px: np.ndarray, memory: Workspace, *, config: CorrelationConfig) -> np.ndarray:
     """Score all layers of every cell; int16, flat, see ``layout.py``.
 
-    Parameters
-    ----------
-    views : Views
-    layers_px : (D,) float, px
-    memory : Workspace
-    config : CorrelationConfig
-        Its ``cell_px`` is 2.
+    ``layers_px`` (D,) float, px; ``config``: its ``cell_px`` is 2.
     """
     height, width = views.mask.shape
     rows, columns = -(-height // 2), -(-width // 2)

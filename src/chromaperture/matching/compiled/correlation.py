@@ -83,23 +83,10 @@ def filtered_scores(
 ) -> tuple[np.ndarray, layout.RowMaps]:
     """Score all layers and filter the scores along x.
 
-    Parameters
-    ----------
-    views : Views
-    layers_px : (D,) float, px
-        None at all: only the weights are computed.
-    memory : Workspace
-    config : CorrelationConfig
-    even_link : float, optional
-        Link weight of the filter on an even guide. When absent nothing is filtered, and of the maps only the signal
-        fractions are computed, where there are no layers.
-    texture_weighting : bool
-        Weight the scores by texture against noise before they are filtered.
-
-    Returns
-    -------
-    volume : int16, or float32 of filtered scores, flat; see ``layout.py``
-    maps : RowMaps
+    ``layers_px`` (D,) float, px: None at all: only the weights are computed; ``even_link``: link weight of the filter
+    on an even guide. When absent nothing is filtered, and of the maps only the signal fractions are computed, where
+    there are no layers; ``texture_weighting``: weight the scores by texture against noise before they are filtered.
+    Returns ``volume`` int16, or float32 of filtered scores, flat; see ``layout.py``; ``maps`` RowMaps.
     """
     height, width = views.mask.shape
     known = sampled_noise(views, config)

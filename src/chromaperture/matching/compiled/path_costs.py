@@ -67,17 +67,10 @@ class Decision(NamedTuple):
 def along_rows(scores, volume, sums, mask, links, labels, layers, settings, two_views, top, bottom):
     """Turn scores of layers into log-likelihoods of labels and add up the path costs along x.
 
-    Parameters
-    ----------
-    scores : (blocks, H, slabs, BLOCK, 8) int16, flat
-    volume : of the labels; written: log-likelihoods; the scores' own memory unless labels lie between the layers
-    sums : like volume; written: the costs of both paths
-    mask, links : (H, W) float32
-    labels : LabelMap, (H, W) float32 or (1, 1)
-    layers : Layers
-    settings : Settings
-    two_views : bool
-    top, bottom : int; the rows from ``top`` to before ``bottom``
+    ``scores`` (blocks, H, slabs, BLOCK, 8) int16, flat; ``volume`` of the labels; written: log-likelihoods; the scores'
+    own memory unless labels lie between the layers; ``sums`` like volume; written: the costs of both paths; ``mask``,
+    ``links`` (H, W) float32; ``labels`` LabelMap, (H, W) float32 or (1, 1); ``top``, ``bottom`` int; the rows from
+    ``top`` to before ``bottom``.
     """
     height, width = mask.shape
     lines = _lines(volume, sums, settings, GROUP)
@@ -115,13 +108,7 @@ def along_rows(scores, volume, sums, mask, links, labels, layers, settings, two_
 def along_columns(volume, sums, links, settings, first_block, last_block, winner):
     """Add the path costs along y and find the best layer of every pixel.
 
-    Parameters
-    ----------
-    volume, sums : from `along_rows`
-    links : (H, W) float32
-    settings : Settings
-    first_block, last_block : int; blocks of columns
-    winner : PathWinner; written
+    ``links`` (H, W) float32; ``first_block``, ``last_block`` int; blocks of columns; ``winner`` PathWinner; written.
     """
     height, width = links.shape
     lines = _lines(volume, sums, settings, BLOCK)

@@ -36,14 +36,9 @@ class Columns(NamedTuple):
 def take_winners(volume, maps, settings, first_block, last_block, scratch, winner):
     """Filter the volume along y, find the best layer, refine it by a parabola.
 
-    Parameters
-    ----------
-    volume : (blocks, H, slabs, BLOCK, 8) float32, flat
-    maps : RowMaps
-    settings : Columns
-    first_block, last_block : int; the blocks of columns from the first to before the last
-    scratch : (`scratch_rows` (H) * BLOCK * D8,) float32
-    winner : Winner; written
+    ``volume`` (blocks, H, slabs, BLOCK, 8) float32, flat; ``first_block``, ``last_block`` int; the blocks of columns
+    from the first to before the last; ``scratch`` (`scratch_rows` (H) * BLOCK * D8,) float32; ``winner`` Winner;
+    written.
     """
     height = len(winner.disparity_px)
     slabs = (settings.layers + v.LANES - 1) // v.LANES

@@ -53,20 +53,11 @@ TAILS_PX = 8
 
 @dataclass(frozen=True)
 class BlurEvidence:
-    """Log-likelihood of every label from the camera's own blur.
-
-    Attributes
-    ----------
-    config : CrossFilterConfig
-    blur : LensBlur
-    label_map : LabelMap
-        What equal depth means at every pixel, in the layers of the blur: the camera's quality "accurate".
-    noise : NoiseModel
-    run : Execution
-    """
+    """Log-likelihood of every label from the camera's own blur."""
 
     config: CrossFilterConfig
     blur: LensBlur
+    # What equal depth means at every pixel, in the layers of the blur: the camera's quality "accurate".
     label_map: LabelMap
     noise: NoiseModel
     run: Execution
@@ -118,21 +109,10 @@ class BlurEvidence:
     def likelihood(self, image: np.ndarray, layers_px: np.ndarray) -> np.ndarray:
         """Compute the log-likelihood of every layer; where the noise is not known nothing is left out for it.
 
-        Parameters
-        ----------
-        image : (H, W, 3) float32, linear RGB
-        layers_px : (D,) float, px
-            Half disparities in the middle of the frame, see ``LensBlur.reference``: each means a distance.
-
-        Returns
-        -------
-        (ceil(H / 3), ceil(W / 3), D) float32, nats a pixel
-            At every third pixel, from the first on. A layer means one distance all over the frame.
-
-        Raises
-        ------
-        InputError
-            The image is not of the blur's size.
+        ``image`` (H, W, 3) float32, linear RGB; ``layers_px`` (D,) float, px: half disparities in the middle of the
+        frame, see ``LensBlur.reference``: each means a distance. Returns (ceil(H / 3), ceil(W / 3), D) float32, nats a
+        pixel: at every third pixel, from the first on. A layer means one distance all over the frame. Raises
+        InputError: the image is not of the blur's size.
         """
         return self._explained(self._correlations(image, layers_px))
 

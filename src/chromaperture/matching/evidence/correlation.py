@@ -20,23 +20,12 @@ MOST_EXPLAINED = 0.999
 
 @dataclass(frozen=True)
 class CorrelationEvidence:
-    """Mean log-likelihood of every label over one or several view spaces.
-
-    Attributes
-    ----------
-    config : CorrelationEvidenceConfig
-    views : ViewsConfig
-    spaces : tuple of ViewSpace
-    label_maps : tuple of LabelMap
-        One for each space; they bring the disparities of the spaces to one scale.
-    noise : NoiseModel
-    run : Execution
-    """
+    """Mean log-likelihood of every label over one or several view spaces."""
 
     config: CorrelationEvidenceConfig
     views: ViewsConfig
     spaces: tuple[ViewSpace, ...]
-    label_maps: tuple[LabelMap, ...]
+    label_maps: tuple[LabelMap, ...]  # one for each space; they bring the disparities of the spaces to one scale
     noise: NoiseModel
     run: Execution
 
@@ -68,14 +57,7 @@ def log_likelihood(score: np.ndarray, *, view_count: int) -> np.ndarray:
     for two views, the square of one minus the score for three. An anti-correlation is no evidence. The score must not
     be debiased: noise must lower the correlation here, or noise alone would look certain.
 
-    Parameters
-    ----------
-    score : (H, W, D) float
-    view_count : {2, 3}
-
-    Returns
-    -------
-    (H, W, D) float32, >= 0
+    ``score`` (H, W, D) float; ``view_count`` {2, 3}. Returns (H, W, D) float32, >= 0.
     """
     explained = np.clip(score, 0, 1, dtype=np.float32)
     explained = np.float32(MOST_EXPLAINED) * (explained**2 if view_count == 2 else explained)

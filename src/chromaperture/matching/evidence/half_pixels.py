@@ -77,10 +77,7 @@ def sum_and_difference(spectra: np.ndarray) -> np.ndarray:
 def noise_of_frequencies(radius: np.ndarray) -> np.ndarray:
     """Return the noise of half the sum and half the difference, in units of the measured variance; (2, F).
 
-    Parameters
-    ----------
-    radius : (F,) float
-        Frequencies, cycles a px.
+    ``radius`` (F,) float: frequencies, cycles a px.
     """
     common = _COMMON * np.exp(-((2 * np.pi * radius * _COMMON_SIGMA_PX) ** 2))
     return _FINEST * np.stack([1 + common, np.full_like(common, _OF_DIFFERENCE)])
@@ -97,24 +94,10 @@ def half_pixel_likelihood(
 ) -> np.ndarray:
     """Sum the log-likelihood of windows over their frequencies, at every layer.
 
-    Parameters
-    ----------
-    spectra : (M, 2, F) complex
-        Of `sum_and_difference`.
-    powers : (K, D, 9, F) float32
-        Of `HalvesModel`.
-    node : (M,) int
-        Of every window.
-    noise : (M,) float
-        Variance of the noise as it was measured.
-    of_frequencies : (2, F) float
-        Of `noise_of_frequencies`.
-    channel_error : float
-        Fraction of the sum's power by which either is another than the blur says.
-
-    Returns
-    -------
-    (M, D) float32, nats
+    ``spectra`` (M, 2, F) complex: of `sum_and_difference`; ``powers`` (K, D, 9, F) float32: of `HalvesModel`; ``node``
+    (M,) int: of every window; ``noise`` (M,) float: variance of the noise as it was measured; ``of_frequencies`` (2, F)
+    float: of `noise_of_frequencies`; ``channel_error``: fraction of the sum's power by which either is another than the
+    blur says. Returns (M, D) float32, nats.
     """
     out = np.empty((len(spectra), powers.shape[1]), np.float32)
     floor = np.sqrt(of_frequencies)

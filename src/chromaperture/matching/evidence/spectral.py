@@ -51,17 +51,10 @@ LEAST_SHARE = 1e-9  # of a slope, before its logarithm
 
 @dataclass(frozen=True)
 class SpectralEvidence:
-    """Pairs of channels, and all channels together.
-
-    Attributes
-    ----------
-    config : SpectralConfig
-    pairs : BlurEvidence
-        Its blur, noise, labels and execution hold for both.
-    """
+    """Pairs of channels, and all channels together."""
 
     config: SpectralConfig
-    pairs: BlurEvidence
+    pairs: BlurEvidence  # its blur, noise, labels and execution hold for both
     _powers: dict[bytes, np.ndarray] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
@@ -128,14 +121,8 @@ class SpectralEvidence:
     ) -> np.ndarray:
         """Compute the log-likelihood of every layer in windows around pixels; (len(rows), len(columns), D), nats a px.
 
-        Parameters
-        ----------
-        image : (H, W, 3) float32, linear RGB
-        layers_px : (D,) float, px
-        rows, columns : int
-            Of the windows' middles.
-        noise_variance : (H, W, 3) float, optional
-            Of the image; computed where it is not given.
+        ``image`` (H, W, 3) float32, linear RGB; ``layers_px`` (D,) float, px; ``rows``, ``columns``: of the windows'
+        middles; ``noise_variance`` (H, W, 3) float: of the image; computed where it is not given.
         """
         config, run = self.config, self.pairs.run
         model = self.model(layers_px)
@@ -186,14 +173,7 @@ def over_slopes(by_slope: np.ndarray) -> np.ndarray:
 
     The distribution of the slopes is that of highest likelihood over all windows, by expectation and maximisation.
 
-    Parameters
-    ----------
-    by_slope : (B, M, D) float
-        Log-likelihoods, nats.
-
-    Returns
-    -------
-    (M, D) float
+    ``by_slope`` (B, M, D) float: log-likelihoods, nats. Returns (M, D) float.
     """
     best = by_slope.max(axis=(0, 2), keepdims=True)
     of_slope = logsumexp(by_slope - best, axis=2)  # whatever the layer

@@ -113,14 +113,7 @@ class Windows:
 class SpectralModel:
     """G of every node, slope and layer, for one camera.
 
-    Parameters
-    ----------
-    blur : LensBlur
-    layers_px : (D,) float, px
-    windows : Windows
-    slopes : tuple of float
-    run : Execution
-        Transforms point-spread functions.
+    ``layers_px`` (D,) float, px; ``run``: transforms point-spread functions.
     """
 
     def __init__(

@@ -28,21 +28,12 @@ NO_EDGE = -6.0  # log odds where a picture is too small for the network
 
 
 class BlockSurface(NamedTuple):
-    """What blocks of pixels say of a surface; labels count from 0.
+    """What blocks of pixels say of a surface; labels count from 0."""
 
-    Attributes
-    ----------
-    label : (h, w) float
-    nats : (h, w, N) float32; sums of the evidence of their pixels.
-    log_odds : (2, h, w) float32; of depth edges, as `edge_log_odds`.
-    start : (h, w) float; where the plate began.
-    regions : Regions
-    """
-
-    label: np.ndarray
-    nats: np.ndarray
-    log_odds: np.ndarray
-    start: np.ndarray
+    label: np.ndarray  # (h, w) float
+    nats: np.ndarray  # (h, w, N) float32; sums of the evidence of their pixels
+    log_odds: np.ndarray  # (2, h, w) float32; of depth edges, as `edge_log_odds`
+    start: np.ndarray  # (h, w) float; where the plate began
     regions: Regions
 
 
@@ -58,17 +49,8 @@ def surface_of_blocks(
 ) -> BlockSurface:
     """Find the surface that explains the evidence of blocks.
 
-    Parameters
-    ----------
-    nats : (h, w, N) float32
-        As `block_sums`.
-    first, sigma : (H, W) float, labels
-        A first surface, without NaN, and the standard deviation of its posterior.
-    log_odds : (2, h, w) float32
-        As `depth_edges_of`.
-    planes : PlanesConfig
-    plate : PlateConfig
-    run : Execution
+    ``nats`` (h, w, N) float32: as `block_sums`; ``first``, ``sigma`` (H, W) float, labels: a first surface, without
+    NaN, and the standard deviation of its posterior; ``log_odds`` (2, h, w) float32: as `depth_edges_of`.
     """
     found = planes_of_regions(
         nats, plane_proposals(first, sigma, planes.tiles_px, run=run), log_odds, config=planes, run=run
@@ -125,15 +107,7 @@ def read_along(nats: np.ndarray, label: np.ndarray) -> np.ndarray:
 def at_pixels(label: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Bring labels of blocks to pixels: between blocks where neighbours lie close, else those of the nearest block.
 
-    Parameters
-    ----------
-    label : (h, w) float
-    shape : (int, int)
-        Height and width of the picture.
-
-    Returns
-    -------
-    (H, W) float32
+    ``label`` (h, w) float; ``shape`` (int, int): height and width of the picture. Returns (H, W) float32.
     """
     values = np.ascontiguousarray(label, np.float32)
     y, x = ((np.arange(n, dtype=np.float32) - (BLOCK_PX - 1) / 2) / BLOCK_PX for n in shape)

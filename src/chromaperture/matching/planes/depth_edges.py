@@ -22,15 +22,8 @@ LEAST_RANGE = 1e-3  # of roots of light: an even photograph is not divided by ze
 def edge_log_odds(image: np.ndarray) -> np.ndarray:
     """Return the log odds that the distance jumps or bends between neighbouring blocks.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float
-        Linear light. H and W are at least `BLOCK_PX`.
-
-    Returns
-    -------
-    (2, H // 4, W // 4) float32
-        Between a block and the one below it, then the one right of it; the last row, or column, means nothing.
+    ``image`` (H, W, 3) float: linear light. H and W are at least `BLOCK_PX`. Returns (2, H // 4, W // 4) float32:
+    between a block and the one below it, then the one right of it; the last row, or column, means nothing.
     """
     height, width = (n // BLOCK_PX for n in image.shape[:2])
     whole = np.ascontiguousarray(image[: height * BLOCK_PX, : width * BLOCK_PX], np.float32)

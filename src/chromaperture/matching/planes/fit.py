@@ -45,17 +45,8 @@ class Proposal(NamedTuple):
 def plane_proposals(label: np.ndarray, sigma: np.ndarray, tiles_px: tuple[int, ...], *, run: Execution) -> np.ndarray:
     """Fit planes to tiles of several sizes of a first surface, without those that agree with one of a larger tile.
 
-    Parameters
-    ----------
-    label, sigma : (H, W) float, labels
-        Without NaN, and its standard deviation.
-    tiles_px : tuple of int
-    run : Execution
-
-    Returns
-    -------
-    (K, 3) float64
-        ``label = a x + b y + c`` of pixels.
+    ``label``, ``sigma`` (H, W) float, labels: without NaN, and its standard deviation. Returns (K, 3) float64: ``label
+    = a x + b y + c`` of pixels.
     """
     weight = 1 / (np.square(sigma, dtype=float) + 0.5**2)
     tiles = tiles_of(label.shape, tiles_px)

@@ -43,16 +43,10 @@ LEAST_CORE = 0.25  # share of a region's blocks away from depth edges below whic
 
 
 class Regions(NamedTuple):
-    """Regions that have one plane.
+    """Regions that have one plane."""
 
-    Attributes
-    ----------
-    region : (h, w) int, from 0 on
-    label : (h, w) float; of their planes, which stay within the labels.
-    """
-
-    region: np.ndarray
-    label: np.ndarray
+    region: np.ndarray  # (h, w) int, from 0 on
+    label: np.ndarray  # (h, w) float; of their planes, which stay within the labels
 
 
 def planes_of_regions(
@@ -60,16 +54,8 @@ def planes_of_regions(
 ) -> Regions:
     """Let regions between depth edges choose planes, level ones of every label among them, and join.
 
-    Parameters
-    ----------
-    nats : (h, w, N) float32
-        Sums of the evidence of blocks.
-    planes : (K, 3) float
-        ``label = a x + b y + c`` of pixels, labels from 0 on.
-    log_odds : (2, h, w) float
-        As `edge_log_odds`, of the same blocks.
-    config : PlanesConfig
-    run : Execution
+    ``nats`` (h, w, N) float32: sums of the evidence of blocks; ``planes`` (K, 3) float: ``label = a x + b y + c`` of
+    pixels, labels from 0 on; ``log_odds`` (2, h, w) float: as `edge_log_odds`, of the same blocks.
     """
     labels = np.arange(nats.shape[2], dtype=float)
     every = np.concatenate([of_blocks(planes), np.stack([0 * labels, 0 * labels, labels], axis=1)])
@@ -100,15 +86,7 @@ def regions_between_edges(log_odds: np.ndarray) -> np.ndarray:
     They are the watersheds of the log odds: trees of least edges, one from every lowest place, which are the minimum
     spanning tree of all blocks and of a root beside them (Cousty et al. 2009).
 
-    Parameters
-    ----------
-    log_odds : (2, h, w) float
-        As `edge_log_odds`.
-
-    Returns
-    -------
-    (h, w) int
-        From 0 on.
+    ``log_odds`` (2, h, w) float: as `edge_log_odds`. Returns (h, w) int: from 0 on.
     """
     of_block = cv2.GaussianBlur(strongest_links(log_odds), (0, 0), SMOOTH_BLOCKS)
     lowest, _ = ndimage.label(of_block == ndimage.minimum_filter(of_block, size=3), structure=np.ones((3, 3)))
@@ -137,17 +115,8 @@ def shares_of_blocks(region: np.ndarray, log_odds: np.ndarray, share: float) -> 
     Windows there see both sides, and the evidence is that of the stronger texture. In a region that has hardly any
     other blocks all count fully.
 
-    Parameters
-    ----------
-    region : (h, w) int, from 0 on
-    log_odds : (2, h, w) float
-        As `edge_log_odds`. An edge is likely where they are above 0.
-    share : float
-        Of blocks that such an edge touches.
-
-    Returns
-    -------
-    (h, w) float32
+    ``region`` (h, w) int, from 0 on; ``log_odds`` (2, h, w) float: as `edge_log_odds`. An edge is likely where they are
+    above 0; ``share``: of blocks that such an edge touches. Returns (h, w) float32.
     """
     away = strongest_links(log_odds) <= 0
     # As in fits: where the rest of a region is less than this share of it, all of its blocks count.
@@ -160,19 +129,8 @@ def costs_of_regions(
 ) -> np.ndarray:
     """Sum what every plane costs the blocks of a region.
 
-    Parameters
-    ----------
-    region : (h, w) int, from 0 on
-    cost : (h, w, K) float32
-        Of every plane, nats.
-    most_block_nats : float
-        As `bounded`.
-    shares : (h, w) float32, optional
-        How much blocks count; see `shares_of_blocks`.
-
-    Returns
-    -------
-    (R, K) float64, nats
+    ``region`` (h, w) int, from 0 on; ``cost`` (h, w, K) float32: of every plane, nats; ``most_block_nats``: as
+    `bounded`; ``shares`` (h, w) float32: how much blocks count; see `shares_of_blocks`. Returns (R, K) float64, nats.
     """
     order = np.argsort(region, axis=None, kind="stable")
     starts = np.searchsorted(region.ravel()[order], np.arange(int(region.max()) + 2))
@@ -196,12 +154,7 @@ def bounded(cost: np.ndarray, most_nats: float) -> np.ndarray:
     Windows of blocks beside a near thing see it, and its strong texture can outweigh all other blocks of a weakly
     textured region. A loss c becomes m (1 - exp(-c / m)): about c where that is small, m at most.
 
-    Parameters
-    ----------
-    cost : (..., K) float32
-        Of every plane, nats.
-    most_nats : float
-        m; 0 leaves costs as they are.
+    ``cost`` (..., K) float32: of every plane, nats; ``most_nats``: m; 0 leaves costs as they are.
     """
     if most_nats == 0:
         return cost

@@ -52,19 +52,8 @@ class _Term(NamedTuple):
 def thin_plate(nats: np.ndarray, start: np.ndarray, log_odds: np.ndarray, *, config: PlateConfig) -> np.ndarray:
     """Fit a plate to blocks.
 
-    Parameters
-    ----------
-    nats : (h, w, N) float32
-        Sums of log-likelihoods over blocks.
-    start : (h, w) float, labels
-    log_odds : (2, h, w) float
-        As `edge_log_odds`.
-    config : PlateConfig
-
-    Returns
-    -------
-    (h, w) float64, labels
-        Within 0 and N - 1.
+    ``nats`` (h, w, N) float32: sums of log-likelihoods over blocks; ``start`` (h, w) float, labels; ``log_odds`` (2, h,
+    w) float: as `edge_log_odds`. Returns (h, w) float64, labels: within 0 and N - 1.
     """
     evidence = smoothed_labels(tempered(nats, log_odds, config=config), config.smoothed_labels)
     terms = _terms(link_weights(log_odds, config.edge_log_odds), config)

@@ -25,18 +25,8 @@ def between_layers(
     The sum of the log s over a window is bounded from above by its tangents at the last offset, which in turn are least
     at ``o = -sum(a / s) / sum(2 b / s)``.
 
-    Parameters
-    ----------
-    disparity_px : (H, W) float, px
-        No NaN.
-    likelihood : (H, W, D) float, nats a pixel
-    layers_px : (D,) float, px
-    sigma_px : float
-        Of the Gaussian window.
-
-    Returns
-    -------
-    (H, W) float32, px
+    ``disparity_px`` (H, W) float, px: no NaN; ``likelihood`` (H, W, D) float, nats a pixel; ``layers_px`` (D,) float,
+    px; ``sigma_px``: of the Gaussian window. Returns (H, W) float32, px.
     """
     step = float(layers_px[1] - layers_px[0])
     nearest = np.clip(np.rint((disparity_px - layers_px[0]) / step).astype(np.intp), 1, len(layers_px) - 2)

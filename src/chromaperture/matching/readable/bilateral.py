@@ -38,12 +38,7 @@ def recursive_bilateral(score: np.ndarray, guide: np.ndarray, weights: np.ndarra
 
     The weight of a neighbour falls by ``exp(-sqrt(2) / sigma_px)`` a px and by ``exp(-|difference of the guide|)``.
 
-    Parameters
-    ----------
-    score : (H, W, D) float
-    guide : (H, W) float, in units of ``guide_range``
-    weights : (H, W) float, > 0
-    sigma_px : float
+    ``score`` (H, W, D) float; ``guide`` (H, W) float, in units of ``guide_range``; ``weights`` (H, W) float, > 0.
     """
     numerator = _both_ways(_both_ways(score * weights[..., None], guide, sigma_px, axis=1), guide, sigma_px, axis=0)
     denominator = _both_ways(_both_ways(weights[..., None], guide, sigma_px, axis=1), guide, sigma_px, axis=0)

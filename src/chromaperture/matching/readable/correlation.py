@@ -134,24 +134,14 @@ def of_own_sign(scores: np.ndarray) -> np.ndarray:
 
 
 class _CellWindow(NamedTuple):
-    """The windows of a view about every pixel; whole numbers in single precision.
+    """The windows of a view about every pixel; whole numbers in single precision."""
 
-    Attributes
-    ----------
-    apart : list of four (H, W)
-        Samples of a row less the one in its middle: 2 and 1 px before it, 1 and 2 px behind it.
-    total : (H, W)
-        Their weighted sum.
-    means : list of five (H, W)
-        Nine times the means of the rows, less the whole number next to the mean of these.
-    left : (H, W)
-        What is left of their weighted sum.
-    """
-
+    # List of four (H, W): samples of a row less the one in its middle: 2 and 1 px before it, 1 and 2 px behind it.
     apart: list[np.ndarray]
-    total: np.ndarray
+    total: np.ndarray  # (H, W): their weighted sum
+    # List of five (H, W): nine times the means of the rows, less the whole number next to the mean of these.
     means: list[np.ndarray]
-    left: np.ndarray
+    left: np.ndarray  # (H, W): what is left of their weighted sum
 
     @classmethod
     def of(cls, view: np.ndarray) -> _CellWindow:
@@ -277,12 +267,7 @@ def _pad(maps: np.ndarray, pad: tuple[int, int]) -> np.ndarray:
 def shift(view: np.ndarray, offset_px: np.ndarray, *, taps_of: Taps | None = None) -> np.ndarray:
     """Sample ``view`` at x + offset by a cubic, Catmull and Rom's unless given, borders replicated.
 
-    Parameters
-    ----------
-    view : (H, W) float
-    offset_px : (2,) float, (x, y)
-    taps_of : callable, optional
-        One of `SAMPLING`.
+    ``view`` (H, W) float; ``offset_px`` (2,) float, (x, y); ``taps_of``: one of `SAMPLING`.
     """
     for axis, offset in ((1, offset_px[0]), (0, offset_px[1])):
         whole = math.floor(offset)

@@ -12,27 +12,13 @@ from chromaperture.optics.lens_blur import Rays, point_transforms
 
 
 class Tile(NamedTuple):
-    """The parts of a tile that are the same at all depths; C channels, P pairs of them.
+    """The parts of a tile that are the same at all depths; C channels, P pairs of them."""
 
-    Attributes
-    ----------
-    rays : Rays
-        Of the channels.
-    spectra : (P, 2, n, n // 2 + 1) complex64
-        Of both channels of every pair.
-    inner : slice
-        Part of the tile, along both axes, that is no margin.
-    weight : (h, w, 2) float32
-        Of that part, alike for P and Q.
-    place : two slices
-        Where it lies on the canvas.
-    """
-
-    rays: Rays
-    spectra: np.ndarray
-    inner: slice
-    weight: np.ndarray
-    place: tuple[slice, slice]
+    rays: Rays  # of the channels
+    spectra: np.ndarray  # (P, 2, n, n // 2 + 1) complex64: of both channels of every pair
+    inner: slice  # part of the tile, along both axes, that is no margin
+    weight: np.ndarray  # (h, w, 2) float32: of that part, alike for P and Q
+    place: tuple[slice, slice]  # where it lies on the canvas
 
 
 def cross_filter(

@@ -84,18 +84,9 @@ def summed_costs(
 ) -> np.ndarray:
     """Sum a pixel's own costs and those that come along its row and its column.
 
-    Parameters
-    ----------
-    own : (H, W, N) float, nats
-    guide : (H, W) float, in units of ``guide_range``
-    paths : FourPathsConfig
-    parts : float, optional
-        Of a nat, to which what comes along is rounded as all executions keep it, but for what comes up the columns.
-
-    Returns
-    -------
-    (H, W, N) float64
-        Lower is better.
+    ``own`` (H, W, N) float, nats; ``guide`` (H, W) float, in units of ``guide_range``; ``parts``: of a nat, to which
+    what comes along is rounded as all executions keep it, but for what comes up the columns. Returns (H, W, N) float64:
+    lower is better.
     """
     along_row = _arriving(own, guide, paths, axis=1, parts=parts)
     along_column = _arriving(own + paths.row_share * along_row, guide, paths, axis=0, parts=parts)
@@ -144,16 +135,8 @@ def scores_at_labels(
     Whatever cuts off the peaks between the layers draws flat surfaces to them: cubics through four layers by 0.013 px,
     these by no more than scores of the labels themselves, 0.008 px (`benchmarks/locking.py`).
 
-    Parameters
-    ----------
-    score : (H, W, D) float
-    layers_px : (D,) float, px
-    labels_px : (N,) float, px
-    label_map : LabelMap
-
-    Returns
-    -------
-    (H, W, N) float32; 0, no evidence, beyond the layers
+    ``score`` (H, W, D) float; ``layers_px`` (D,) float, px; ``labels_px`` (N,) float, px. Returns (H, W, N) float32; 0,
+    no evidence, beyond the layers.
     """
     count = len(layers_px)
     disparity = label_map.offset_px[..., None] + label_map.scale[..., None] * labels_px

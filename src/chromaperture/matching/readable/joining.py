@@ -59,18 +59,8 @@ def join_regions(
 def summed_pairs(pairs: np.ndarray, costs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Sum what is said of the same pair, and leave out pairs of one region.
 
-    Parameters
-    ----------
-    pairs : (L, 2) int
-    costs : (L,) float
-
-    Returns
-    -------
-    pairs : (P, 2) int
-        The lower number first, in order.
-    costs : (P,) float64
-    firsts : (P,) int
-        Where every pair stood first.
+    ``pairs`` (L, 2) int; ``costs`` (L,) float. Returns ``pairs`` (P, 2) int: the lower number first, in order;
+    ``costs`` (P,) float64; ``firsts`` (P,) int: where every pair stood first.
     """
     apart = np.flatnonzero(pairs[:, 0] != pairs[:, 1])
     low, high = np.sort(pairs[apart], axis=1).T

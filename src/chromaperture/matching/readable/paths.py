@@ -44,16 +44,10 @@ class PathPenalties(NamedTuple):
 
 
 class Posterior(NamedTuple):
-    """Mean and variance of the layers of every pixel by their costs.
+    """Mean and variance of the layers of every pixel by their costs."""
 
-    Attributes
-    ----------
-    mean_px : (H, W) float32, px
-    variance_px2 : (H, W) float32, px^2
-    """
-
-    mean_px: np.ndarray
-    variance_px2: np.ndarray
+    mean_px: np.ndarray  # (H, W) float32, px
+    variance_px2: np.ndarray  # (H, W) float32, px^2
 
     def sigma_px(self, disparity_px: np.ndarray) -> np.ndarray:
         """Return the root mean square distance of the layers from a map (H, W); (H, W) float32, px.

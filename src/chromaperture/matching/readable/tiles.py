@@ -52,17 +52,9 @@ def signal_fraction(spectrum: np.ndarray, noise_power: np.ndarray, *, sampling_p
     The power spectrum is Blackman and Tukey's estimate: the autocorrelation of the picture under a lag window. The
     power of a single frequency is itself random and would not separate texture from noise.
 
-    Parameters
-    ----------
-    spectrum : (C, n, n // 2 + 1) complex
-    noise_power : (C,) float
-        Of white noise at any frequency: the sum of its variance over the pixels.
-    sampling_px : float, px
-        Distance of two samples.
-
-    Returns
-    -------
-    (C, n, n // 2 + 1) float32 in [0, 1]
+    ``spectrum`` (C, n, n // 2 + 1) complex; ``noise_power`` (C,) float: of white noise at any frequency: the sum of its
+    variance over the pixels; ``sampling_px`` float, px: distance of two samples. Returns (C, n, n // 2 + 1) float32 in
+    [0, 1].
     """
     size = spectrum.shape[1]
     lag2 = np.minimum(np.arange(size), size - np.arange(size)).astype(np.float32) ** 2
@@ -86,16 +78,10 @@ class TileSpectrum:
 
 
 class NodeAxis(NamedTuple):
-    """Nodes along one axis: where the part of each tile that is no margin begins, and the weights of its samples.
+    """Nodes along one axis: where the part of each tile that is no margin begins, and the weights of its samples."""
 
-    Attributes
-    ----------
-    starts : (N,) int
-    weights : (N, 2 half) float64
-    """
-
-    starts: np.ndarray
-    weights: np.ndarray
+    starts: np.ndarray  # (N,) int
+    weights: np.ndarray  # (N, 2 half) float64
 
 
 class Nodes:
@@ -105,25 +91,11 @@ class Nodes:
     of a pixel is the bilinear interpolation of those of the four nodes around it, so that blur varies smoothly. Beyond
     that the tile has a margin of the filters' reach. Sample (i, j) of the frame is at the pixel `SAMPLING_PX` (i, j).
 
-    Parameters
-    ----------
-    height_px, width_px : int
-        Of the frame.
-    margin_px : float
-        Reach of the filters.
+    ``height_px``, ``width_px``: of the frame; ``margin_px``: reach of the filters.
 
-    Attributes
-    ----------
-    shape : (int, int)
-        Samples of the frame, along y and x.
-    half, size : int
-        Half the side of a tile without its margin, and its whole side; samples.
-    places : list of (float, float)
-        (x, y) of every node, px.
-    weights : list of (2 half, 2 half, 2) float32
-        For P and Q alike.
-    down, across : NodeAxis
-        Of which the weights are products.
+    ``shape`` (int, int): samples of the frame, along y and x; ``half``, ``size``: half the side of a tile without its
+    margin, and its whole side; samples; ``places`` list of (float, float): (x, y) of every node, px; ``weights`` list
+    of (2 half, 2 half, 2) float32: for P and Q alike; ``down``, ``across``: of which the weights are products.
     """
 
     def __init__(self, height_px: int, width_px: int, *, margin_px: float) -> None:
@@ -179,12 +151,8 @@ class Nodes:
     ) -> list[TileSpectrum]:
         """Compute the spectra of the tiles of an image, and how much of them is no noise.
 
-        Parameters
-        ----------
-        image : (H, W, 3) float32
-        noise_variance : (H, W, 3) float or None
-        noise_margin : float
-            Noise counts as this many times its power.
+        ``image`` (H, W, 3) float32; ``noise_variance`` (H, W, 3) float or None; ``noise_margin``: noise counts as this
+        many times its power.
         """
         detail = self.cuts(without_shading(image))
         scale = np.float32(SAMPLING_PX**2)  # a sample keeps the value of its pixel

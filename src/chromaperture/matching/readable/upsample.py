@@ -18,30 +18,19 @@ LEAST_WEIGHT = 1e-3  # of a neighbour, of 1: where all of a side are as far away
 
 
 class Coarse(NamedTuple):
-    """Maps at the working scale, (h, w) float32 each and without NaN.
-
-    Attributes
-    ----------
-    disparity_px, sigma_px : px of the working scale
-    confidence : in [0, 1]
-    unknown : bool; there the maps hold what was filled in.
-    guide : centre view, in units of ``guide_range``.
-    """
+    """Maps at the working scale, (h, w) float32 each and without NaN."""
 
     disparity_px: np.ndarray
     sigma_px: np.ndarray
-    confidence: np.ndarray
-    unknown: np.ndarray
-    guide: np.ndarray
+    confidence: np.ndarray  # in [0, 1]
+    unknown: np.ndarray  # bool; there the maps hold what was filled in
+    guide: np.ndarray  # centre view, in units of ``guide_range``
 
 
 def places(count: int, coarse_count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return, for every pixel along a side, the working pixel before it and the share of the one after.
 
-    Returns
-    -------
-    before : (count,) int32, at most ``coarse_count - 2``, at least 0
-    share : (count,) float32 in [0, 1]
+    Returns ``before`` (count,) int32, at most ``coarse_count - 2``, at least 0; ``share`` (count,) float32 in [0, 1].
     """
     at = (np.arange(count) + 0.5) * (coarse_count / count) - 0.5
     before = np.clip(np.floor(at), 0, max(coarse_count - 2, 0)).astype(np.int32)

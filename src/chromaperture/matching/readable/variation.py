@@ -27,39 +27,24 @@ OPERATOR_NORM_SQUARED = 8.0  # of the forward-difference gradient; edge weights 
 
 @dataclass(frozen=True)
 class Problem:
-    """One convex problem, checked and without NaN.
+    """One convex problem, checked and without NaN."""
 
-    Attributes
-    ----------
-    target : (H, W) float32; f, inside the bounds.
-    weight : (H, W) float32; fidelity * w >= 0.
-    edges : (2, H, W) float32 or None; ex and ey of the links to the right and downwards, in [0, 1].
-    bounds : (float, float); lo and hi.
-    huber : float; h, in the unit of u a px.
-    quadratic : bool
-    """
-
-    target: np.ndarray
-    weight: np.ndarray
-    edges: np.ndarray | None
-    bounds: tuple[float, float]
-    huber: float
+    target: np.ndarray  # (H, W) float32; f, inside the bounds
+    weight: np.ndarray  # (H, W) float32; fidelity * w >= 0
+    edges: np.ndarray | None  # (2, H, W) float32 or None; ex and ey of the links to the right and downwards, in [0, 1]
+    bounds: tuple[float, float]  # (float, float); lo and hi
+    huber: float  # float; h, in the unit of u a px
     quadratic: bool
 
 
 @dataclass
 class State:
-    """State of the iteration: changed in place.
+    """State of the iteration: changed in place."""
 
-    Attributes
-    ----------
-    u, extrapolated : (H, W) float32
-    dual : (2, H, W) float32
-    """
-
+    # ``u``, ``extrapolated``: (H, W) float32.
     u: np.ndarray
     extrapolated: np.ndarray
-    dual: np.ndarray
+    dual: np.ndarray  # (2, H, W) float32
 
     @classmethod
     def start(cls, u: np.ndarray) -> State:
@@ -78,17 +63,8 @@ class Steps(NamedTuple):
 def edge_weights(guide: np.ndarray, *, edge_range: float, floor: float = 0.05) -> np.ndarray:
     """Weights of the links to the right and downwards: 1 on an even guide, ``floor`` across its edges.
 
-    Parameters
-    ----------
-    guide : (H, W) float
-    edge_range : float
-        Guide difference at which the weight has fallen to 1/e, in the guide's unit.
-    floor : float
-
-    Returns
-    -------
-    (2, H, W) float32
-        The last column and the last row have no link and hold 1.
+    ``guide`` (H, W) float; ``edge_range``: guide difference at which the weight has fallen to 1/e, in the guide's unit.
+    Returns (2, H, W) float32: the last column and the last row have no link and hold 1.
     """
     edges = np.ones((2, *guide.shape), np.float32)
     edges[0, :, :-1] = floor + (1 - floor) * np.exp(-np.abs(np.diff(guide, axis=1)) / edge_range)

@@ -20,10 +20,8 @@ from chromaperture.system.validation import Name, Table, checked, quoted, read_b
 def load_aperture(name_or_path: str | Path) -> Aperture:
     """Load an aperture by the name of a design, or from a ``.toml`` or ``.svg`` file.
 
-    Raises
-    ------
-    InputError
-        Unknown name, missing or malformed file, pieces that overlap or lie outside the pupil, unknown filters.
+    Raises InputError: unknown name, missing or malformed file, pieces that overlap or lie outside the pupil, unknown
+    filters.
     """
     path = Path(name_or_path)
     if path.suffix.lower() not in (".toml", ".svg"):
@@ -103,18 +101,9 @@ class _ApertureTable(Table):
 def aperture_from_dict(data: Mapping[str, Any], *, name: str) -> Aperture:
     """Build an aperture from the contents of its TOML file.
 
-    Parameters
-    ----------
-    data : mapping
-        ``part``: list of tables, each with ``filter`` and one of ``disc``, ``half_plane``, ``square``,
-        ``polygon``; optional ``title``, ``film`` (ideal, real, leaky), ``remainder`` (clear, opaque),
-        ``views`` and ``[filters.NAME] transmission = [r, g, b]``.
-    name : str
-
-    Raises
-    ------
-    InputError
-        See `load_aperture`.
+    ``data``: ``part``: list of tables, each with ``filter`` and one of ``disc``, ``half_plane``, ``square``,
+    ``polygon``; optional ``title``, ``film`` (ideal, real, leaky), ``remainder`` (clear, opaque), ``views`` and
+    ``[filters.NAME] transmission = [r, g, b]``. Raises InputError: see `load_aperture`.
     """
     table = checked(_ApertureTable, dict(data), where=f"aperture {quoted(name)}")
     own = {key: Filter(key, value.transmission) for key, value in table.filters.items()}

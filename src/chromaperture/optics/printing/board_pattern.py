@@ -64,18 +64,9 @@ class BoardPage:
 def board_page(*, columns: int = 9, rows: int = 6, square_mm: float | None = None, paper: str = "a3") -> BoardPage:
     """Lay out a chessboard on a page.
 
-    Parameters
-    ----------
-    columns, rows : int
-        Inner corners, one less than the squares each way.
-    square_mm : float, optional
-        30 on A3, 22 on A4 and Letter when absent.
-    paper : {"a4", "a3", "letter"}
-
-    Raises
-    ------
-    InputError
-        An unknown paper, a board that looks the same upside down, or one that does not fit.
+    ``columns``, ``rows``: inner corners, one less than the squares each way; ``square_mm``: 30 on A3, 22 on A4 and
+    Letter when absent; ``paper`` {"a4", "a3", "letter"}. Raises InputError: an unknown paper, a board that looks the
+    same upside down, or one that does not fit.
     """
     if paper.lower() not in PAPERS:
         raise InputError(f"paper {paper!r} is not known: choose one of {', '.join(PAPERS)}")
@@ -101,14 +92,7 @@ def board_page(*, columns: int = 9, rows: int = 6, square_mm: float | None = Non
 def speckle(size_mm: tuple[float, float], *, seed: int = 7) -> np.ndarray:
     """Draw discs of several sizes and greys; those of each size cover 0.4 of the page.
 
-    Parameters
-    ----------
-    size_mm : (width, height)
-    seed : int
-
-    Returns
-    -------
-    (h, w) uint8, `SPECKLE_DPI` to the inch
+    ``size_mm`` (width, height). Returns (h, w) uint8, `SPECKLE_DPI` to the inch.
     """
     rng = np.random.default_rng(seed)
     per_mm = SPECKLE_DPI / 25.4
@@ -159,17 +143,8 @@ def _rectangles(page: BoardPage, foot: float) -> list[tuple[float, float, float,
 def write_board(path: Path, page: BoardPage, *, wall_pages: int = 0) -> None:
     """Write the board as ``.pdf`` or ``.svg``, at its true size.
 
-    Parameters
-    ----------
-    path : Path
-    page : BoardPage
-    wall_pages : int
-        Pages of speckle for the wall around the board; PDF only.
-
-    Raises
-    ------
-    InputError
-        Another suffix, or an SVG of more than one page.
+    ``wall_pages``: pages of speckle for the wall around the board; PDF only. Raises InputError: another suffix, or an
+    SVG of more than one page.
     """
     suffix = path.suffix.lower()
     if suffix not in (".svg", ".pdf"):

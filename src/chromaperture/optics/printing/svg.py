@@ -34,19 +34,9 @@ LARGEST_COORDINATE = 1e3  # pupil radii: film reaches beyond the pupil, but larg
 def read_svg_shapes(document: str | bytes) -> list[tuple[str, Shape]]:
     """Read the pieces of film of a drawing.
 
-    Parameters
-    ----------
-    document : str or bytes
-        The SVG document; bytes are in UTF-8, or in the encoding that the document names.
-
-    Returns
-    -------
-    list of (filter name, Shape), in pupil radii
-
-    Raises
-    ------
-    InputError
-        No pupil circle, an unsupported element or path command, a transform, or a document that is too large.
+    ``document``: the SVG document; bytes are in UTF-8, or in the encoding that the document names. Returns list of
+    (filter name, Shape), in pupil radii. Raises InputError: no pupil circle, an unsupported element or path command, a
+    transform, or a document that is too large.
     """
     if len(document) > MOST_SVG_BYTES:
         raise InputError(
@@ -119,19 +109,8 @@ def _numbers(tag: str, attrib: Mapping[str, str], *keys: str) -> list[float]:
 def path_points(commands: str) -> np.ndarray:
     """Convert a closed path of lines and Bezier curves to a polygon.
 
-    Parameters
-    ----------
-    commands : str
-        Path data with the commands M L H V Q C Z.
-
-    Returns
-    -------
-    (N, 2) float64, user units
-
-    Raises
-    ------
-    InputError
-        Arcs and other commands, a second loop, missing numbers, or too many corners.
+    ``commands``: path data with the commands M L H V Q C Z. Returns (N, 2) float64, user units. Raises InputError: arcs
+    and other commands, a second loop, missing numbers, or too many corners.
     """
     from svgelements import Close, Line, Move, Path
 

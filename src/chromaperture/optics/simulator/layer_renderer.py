@@ -40,22 +40,10 @@ def render_layers(
 ) -> LayeredCapture:
     """Photograph an RGB-D picture that was taken from the pupil's centre.
 
-    Parameters
-    ----------
-    color : (H, W, 3) float
-        Sharp, linear.
-    depth_mm : (H, W) float
-        Distance from the sensor plane; NaN is replaced by the nearest known depth.
-    camera : PupilCamera
-        Of the picture's size.
-    aperture : Aperture
-    pitch_px : float
-        Difference of blur radius between layers; light in between is divided linearly.
-
-    Raises
-    ------
-    InputError
-        Wrong shapes, no known depth, depth behind the camera.
+    ``color`` (H, W, 3) float: sharp, linear; ``depth_mm`` (H, W) float: distance from the sensor plane; NaN is replaced
+    by the nearest known depth; ``camera``: of the picture's size; ``pitch_px``: difference of blur radius between
+    layers; light in between is divided linearly. Raises InputError: wrong shapes, no known depth, depth behind the
+    camera.
     """
     color = np.asarray(color, np.float32)
     depth = np.asarray(depth_mm, np.float64)
@@ -140,18 +128,8 @@ def _nearest(wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def behind_edges(color: np.ndarray, radius: np.ndarray, reach: int, edge_px: float) -> tuple[np.ndarray, np.ndarray]:
     """Extrapolate far surfaces behind the near sides of depth edges.
 
-    Parameters
-    ----------
-    color : (H, W, 3) float32
-    radius : (H, W) float32
-        Signed blur radius, px; smaller is nearer.
-    reach : int
-        Distance behind an edge, px.
-    edge_px : float
-
-    Returns
-    -------
-    color, radius : the arguments, with the far surface in place of the near one
+    ``color`` (H, W, 3) float32; ``radius`` (H, W) float32: signed blur radius, px; smaller is nearer; ``reach``:
+    distance behind an edge, px. Returns ``color, radius`` the arguments, with the far surface in place of the near one.
     """
     beside = cv2.erode(radius, np.ones((3, 3), np.uint8))
     far_side = radius - beside > edge_px

@@ -18,26 +18,11 @@ def read_rgbd(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Read a colour picture and its depth.
 
-    Parameters
-    ----------
-    color_path : Path
-        8-bit sRGB picture, or 16-bit linear.
-    depth_path : Path
-        One channel of 16 bits; 0 and 65535 are unknown.
-    depth_unit_mm : float
-        Millimetres a count.
-    sensor_to_pupil_mm : float
-        Added to the depth: depth cameras measure from their pinhole, this package from the sensor plane.
-
-    Returns
-    -------
-    color : (H, W, 3) float32, linear, 1.0 = white
-    depth_mm : (H, W) float32, from the sensor plane, NaN unknown
-
-    Raises
-    ------
-    InputError
-        A file that cannot be read, depth that is not 16 bit, sizes that differ.
+    ``color_path``: 8-bit sRGB picture, or 16-bit linear; ``depth_path``: one channel of 16 bits; 0 and 65535 are
+    unknown; ``depth_unit_mm``: millimetres a count; ``sensor_to_pupil_mm``: added to the depth: depth cameras measure
+    from their pinhole, this package from the sensor plane. Returns ``color`` (H, W, 3) float32, linear, 1.0 = white;
+    ``depth_mm`` (H, W) float32, from the sensor plane, NaN unknown. Raises InputError: a file that cannot be read,
+    depth that is not 16 bit, sizes that differ.
     """
     color = _read(color_path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     depth = _read(depth_path, cv2.IMREAD_UNCHANGED)

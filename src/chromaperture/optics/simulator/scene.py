@@ -37,20 +37,9 @@ def plane(
 ) -> Plane:
     """Place a picture in the scene.
 
-    Parameters
-    ----------
-    texture : (h, w, 3) or (h, w, 4) float
-        Linear; a fourth channel is coverage.
-    center_mm : (3,)
-        Camera frame, z from the sensor plane.
-    width_mm : float
-    tilt_deg : (3,)
-        Turns about x, then y, then z.
-
-    Raises
-    ------
-    InputError
-        Wrong shape, or a width that is not positive.
+    ``texture`` (h, w, 3) or (h, w, 4) float: linear; a fourth channel is coverage; ``center_mm`` (3,): camera frame, z
+    from the sensor plane; ``tilt_deg`` (3,): turns about x, then y, then z. Raises InputError: wrong shape, or a width
+    that is not positive.
     """
     texture = np.asarray(texture, np.float32)
     if texture.ndim != 3 or texture.shape[2] not in (3, 4) or min(texture.shape[:2]) < 2:
@@ -76,10 +65,7 @@ def plane(
 def load_scene(path: str | Path) -> list[Plane]:
     """Read a scene file.
 
-    Raises
-    ------
-    InputError
-        Missing or malformed file, unknown texture, a plane behind the camera.
+    Raises InputError: missing or malformed file, unknown texture, a plane behind the camera.
     """
     path = Path(path)
     if not os.path.lexists(path):
@@ -119,10 +105,7 @@ def scene_from_dict(data: Mapping[str, Any], *, folder: Path | None = None) -> l
     ``texel_mm``, and a ``texture``: ``plain``, ``speckle``, ``clouds``, ``chessboard``, or the name of a
     picture beside the scene file.
 
-    Raises
-    ------
-    InputError
-        See `load_scene`.
+    Raises InputError: see `load_scene`.
     """
     planes = []
     for number, table in enumerate(checked(_SceneTable, dict(data), where="the scene").plane, start=1):

@@ -34,22 +34,8 @@ class SensorModel:
 def expose(image: np.ndarray, sensor: SensorModel, *, seed: int, exposure: float = 1.0) -> np.ndarray:
     """Simulate the counts of an exposure to linear light.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float, linear
-    sensor : SensorModel
-    seed : int
-    exposure : float
-        Factor on the light; light 1.0 at exposure 1.0 reaches white level.
-
-    Returns
-    -------
-    (H, W, 3) uint16, counts
-
-    Raises
-    ------
-    InputError
-        Light that is negative or not finite.
+    ``image`` (H, W, 3) float, linear; ``exposure``: factor on the light; light 1.0 at exposure 1.0 reaches white level.
+    Returns (H, W, 3) uint16, counts. Raises InputError: light that is negative or not finite.
     """
     electrons = np.asarray(image, np.float64) * exposure * sensor.full_well_electrons
     if not (np.isfinite(electrons).all() and electrons.min() >= 0):
@@ -70,15 +56,8 @@ def develop(counts: np.ndarray, sensor: SensorModel) -> np.ndarray:
 def mosaic(image: np.ndarray, pattern: Pattern = "RGGB") -> np.ndarray:
     """Keep one channel per pixel, as a Bayer sensor does.
 
-    Parameters
-    ----------
-    image : (H, W, 3)
-    pattern : {"RGGB", "BGGR", "GRBG", "GBRG"}
-        Colours of the top-left 2 x 2 pixels, row by row.
-
-    Returns
-    -------
-    (H, W) of the image's dtype
+    ``image`` (H, W, 3); ``pattern`` {"RGGB", "BGGR", "GRBG", "GBRG"}: colours of the top-left 2 x 2 pixels, row by row.
+    Returns (H, W) of the image's dtype.
     """
     if pattern not in ("RGGB", "BGGR", "GRBG", "GBRG"):
         raise InputError(f"unknown Bayer pattern {pattern!r}: choose RGGB, BGGR, GRBG or GBRG")

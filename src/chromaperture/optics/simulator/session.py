@@ -32,27 +32,16 @@ _PAPER_MM = 0.1  # thickness of the board
 
 @dataclass(frozen=True)
 class SessionPlan:
-    """Content of a session.
+    """Content of a session."""
 
-    Attributes
-    ----------
-    distances_mm : tuple of float
-        Board distances from the sensor plane.
-    tilts : int
-        Tilted views of the board.
-    ruler_error_mm : float or None
-        Largest difference between the board's true distance and the recorded one; None: 3 mm, less below 1 m.
-    seed : int
-    sensor : SensorModel
-    square_mm : float or None
-        Side of the chessboard's squares; None: 30 mm, or less where the nearest board would leave the frame.
-    """
-
+    # Board distances from the sensor plane.
     distances_mm: tuple[float, ...] = tuple(float(d) for d in range(1000, 4001, 100))
-    tilts: int = 12
+    tilts: int = 12  # tilted views of the board
+    # Largest difference between the board's true distance and the recorded one; None: 3 mm, less below 1 m.
     ruler_error_mm: float | None = None
     seed: int = 0
     sensor: SensorModel = field(default_factory=SensorModel)
+    # Side of the chessboard's squares; None: 30 mm, or less where the nearest board would leave the frame.
     square_mm: float | None = None
 
     def for_camera(self, camera: PupilCamera) -> SessionPlan:
@@ -84,26 +73,11 @@ def write_session(
 ) -> None:
     """Render and write a session.
 
-    Parameters
-    ----------
-    folder : Path
-        The session's folder, which holds everything, ``white`` and ``truth`` too.
-    aperture : Aperture
-    camera : PupilCamera
-        For the facts in ``session.toml`` and the true pupil.
-    rays : callable
-        Returns the ray table of the camera with an aperture.
-    scenes : dict of str to planes
-    plan : SessionPlan
-    report : callable
-        Called with a sentence for every photograph that is left out.
-    progress : callable
-        Called with the name of the step, the number of photographs written, and the total.
-
-    Raises
-    ------
-    InputError
-        No distances, a board behind the camera, or one that leaves the frame at every distance.
+    ``folder``: the session's folder, which holds everything, ``white`` and ``truth`` too; ``camera``: for the facts in
+    ``session.toml`` and the true pupil; ``rays``: returns the ray table of the camera with an aperture; ``report``:
+    called with a sentence for every photograph that is left out; ``progress``: called with the name of the step, the
+    number of photographs written, and the total. Raises InputError: no distances, a board behind the camera, or one
+    that leaves the frame at every distance.
     """
     if not plan.distances_mm:
         raise InputError("a session needs at least one board distance")

@@ -18,18 +18,8 @@ def noise(
 ) -> np.ndarray:
     """Generate Gaussian noise with amplitudes that fall as frequency^-exponent.
 
-    Parameters
-    ----------
-    shape : (int, int)
-    exponent : float
-        0 is white; natural photographs have about 1.
-    seed : int
-    mean, contrast : float
-        Mean and standard deviation before clipping to [0.02, 0.98].
-
-    Returns
-    -------
-    (h, w) float32
+    ``shape`` (int, int); ``exponent``: 0 is white; natural photographs have about 1; ``mean``, ``contrast``: mean and
+    standard deviation before clipping to [0.02, 0.98]. Returns (h, w) float32.
     """
     spectrum = np.fft.rfft2(np.random.default_rng(seed).normal(size=shape))
     frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None])
@@ -42,15 +32,7 @@ def noise(
 def chessboard(inner_corners: tuple[int, int], square_mm: float, texel_mm: float) -> np.ndarray:
     """Draw a chessboard with a white margin of one square, its top-left square black.
 
-    Parameters
-    ----------
-    inner_corners : (int, int)
-        Along x and y.
-    square_mm, texel_mm : float
-
-    Returns
-    -------
-    (h, w) float32, reflectance 0.04 and 0.92
+    ``inner_corners`` (int, int): along x and y. Returns (h, w) float32, reflectance 0.04 and 0.92.
     """
     nx, ny = inner_corners[0] + 1, inner_corners[1] + 1
     width, height = (round((n * square_mm + 2 * square_mm) / texel_mm) for n in (nx, ny))

@@ -26,24 +26,14 @@ _RGB_STEPS = np.float32(255)
 
 @dataclass(frozen=True)
 class VideoSignal:
-    """What happens to the light of one frame.
+    """What happens to the light of one frame."""
 
-    Attributes
-    ----------
-    sensor : SensorModel or None
-        Noise of a pixel of the video, and its rounding; None: none, and nothing is clipped below white.
-    curve : {"srgb", "bt709"}
-        Tone curve of the camera. Whoever reads 8 bits takes them for sRGB.
-    chroma : {"4:4:4", "4:2:0"}
-        Colours at the full size, or at half of it each way.
-    bits : {8, None}
-        Rounding to 8 bits of narrow range, and of R, G, B again; None: none.
-    """
-
+    # Noise of a pixel of the video, and its rounding; None: none, and nothing is clipped below white.
     sensor: SensorModel | None = field(default_factory=SensorModel)
-    curve: Curve = "srgb"
+    curve: Curve = "srgb"  # {"srgb", "bt709"}: tone curve of the camera. Whoever reads 8 bits takes them for sRGB
+    # {"4:4:4", "4:2:0"}: colours at the full size, or at half of it each way.
     chroma: Literal["4:4:4", "4:2:0"] = "4:2:0"
-    bits: Literal[8] | None = 8
+    bits: Literal[8] | None = 8  # {8, None}: rounding to 8 bits of narrow range, and of R, G, B again; None: none
 
     def __post_init__(self) -> None:
         if self.curve not in CURVES or self.chroma not in ("4:4:4", "4:2:0") or self.bits not in (8, None):
@@ -68,24 +58,10 @@ CURVES: dict[str, Callable[[np.ndarray], np.ndarray]] = {"srgb": srgb_curve, "bt
 def video_frame(light: np.ndarray, signal: VideoSignal, *, seed: int, exposure: float = 1.0) -> np.ndarray:
     """Simulate one decoded frame.
 
-    Parameters
-    ----------
-    light : (H, W, 3) float, linear
-        Of the size of the video; even sides where its chroma is 4:2:0.
-    signal : VideoSignal
-    seed : int
-        Of the noise.
-    exposure : float
-        Factor on the light; light 1.0 at exposure 1.0 is white.
-
-    Returns
-    -------
-    (H, W, 3) float32, R, G, B as encoded by the curve, 0 to 1; whole 255ths where it has 8 bits
-
-    Raises
-    ------
-    InputError
-        Odd sides with 4:2:0, or light that is negative or not finite.
+    ``light`` (H, W, 3) float, linear: of the size of the video; even sides where its chroma is 4:2:0; ``seed``: of the
+    noise; ``exposure``: factor on the light; light 1.0 at exposure 1.0 is white. Returns (H, W, 3) float32, R, G, B as
+    encoded by the curve, 0 to 1; whole 255ths where it has 8 bits. Raises InputError: odd sides with 4:2:0, or light
+    that is negative or not finite.
     """
     light = np.asarray(light, np.float32)
     if signal.sensor is None:
