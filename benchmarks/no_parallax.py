@@ -19,8 +19,7 @@ from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
 from chromaperture.effects.layered_model import LayeredModel
-from chromaperture.effects.restoration_tiles import by_tiles
-from chromaperture.effects.restore import white_gains
+from chromaperture.effects.restore import by_tiles, white_gains
 from chromaperture.effects.transfer_functions import LensTransfer
 from chromaperture.effects.wiener import mirrored, padded_size
 from chromaperture.optics.aperture import design_named

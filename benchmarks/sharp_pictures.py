@@ -19,10 +19,9 @@ from chromaperture.color.alignment import align_channels
 from chromaperture.color.lens_shift import LensShift
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
-from chromaperture.effects.blur_layers import layer_radii, layer_weights
 from chromaperture.effects.edge_aware import filter_disparity
-from chromaperture.effects.restoration_tiles import by_tiles
-from chromaperture.effects.restore import UNFITTED_ERROR, fitted_settings
+from chromaperture.effects.layered_model import layer_radii, layer_weights
+from chromaperture.effects.restore import UNFITTED_ERROR, by_tiles, fitted_settings
 from chromaperture.effects.transfer_functions import Blur, LensTransfer, ThinLensBlur
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import centroids

@@ -10,8 +10,7 @@ import numpy as np
 
 import chromaperture as cap
 from chromaperture.color.srgb import linear_to_srgb
-from chromaperture.effects.background import desaturate_background
-from chromaperture.effects.refocusing import Focus, refocus
+from chromaperture.effects.refocusing import Focus, desaturate_background, refocus
 from chromaperture.effects.restore import focus_radius, restore
 from chromaperture.products.samples import sample_camera, sample_image
 

@@ -5,8 +5,7 @@ import pytest
 
 from chromaperture.camera.alignment import channel_shifts
 from chromaperture.camera.camera import CodedApertureCamera
-from chromaperture.effects.restore import restore
-from chromaperture.effects.same_photograph import channel_agreement, check_same_photograph
+from chromaperture.effects.restore import channel_agreement, check_same_photograph, restore
 from chromaperture.model.camera_file import Calibration
 from chromaperture.system.errors import InputError
 from worlds import texture

@@ -9,7 +9,7 @@ import pytest
 
 from chromaperture.capture.files import read_image
 from chromaperture.cli.main import main
-from chromaperture.color.film_match import match_film
+from chromaperture.color.film import match_film
 from chromaperture.evaluation.health import film_match
 from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import sample_camera, sample_image

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.reconstruction.motion import ConstantVelocity
+from chromaperture.reconstruction.fusion import ConstantVelocity
 
 
 def test_a_steady_camera_is_predicted_whenever_the_next_frame_comes():

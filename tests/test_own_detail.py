@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from chromaperture.matching.evidence.blur import BlurEvidence
-from chromaperture.matching.evidence.spectral import SpectralEvidence
+from chromaperture.matching.evidence.spectral import SpectralEvidence, own_detail
 from chromaperture.matching.execution import execution_named
 from chromaperture.matching.labels import IDENTITY
-from chromaperture.matching.own_detail import own_detail
 from chromaperture.matching.result import NoiseModel
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.settings.stages import CrossFilterConfig, SpectralConfig

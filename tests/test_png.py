@@ -16,7 +16,7 @@ from chromaperture.capture.files import decode, linearise, read_light
 from chromaperture.color.encoding import Encoding
 from chromaperture.files.pictures import encode_png
 from chromaperture.system.errors import InputError
-from chromaperture.system.rows_on_demand import RowsOnDemand
+from chromaperture.system.memory import RowsOnDemand
 
 SHAPES = [(1, 1, 3), (7, 5), (7, 5, 3), (300, 2000, 3), (700, 1300), (1, 900_000), (1000, 1, 3)]  # of 1 to 8 strips
 FILTERS = {

@@ -4,11 +4,17 @@ import cv2
 import numpy as np
 import pytest
 
-from chromaperture.effects.background import apply_background, background_weight, desaturate_background
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
 from chromaperture.effects.edge_aware import filter_disparity
-from chromaperture.effects.focus_sweep import sweep, write_sweep
-from chromaperture.effects.refocusing import Focus, refocus
+from chromaperture.effects.refocusing import (
+    Focus,
+    apply_background,
+    background_weight,
+    desaturate_background,
+    refocus,
+    sweep,
+    write_sweep,
+)
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.psf import geometric_psf
 from chromaperture.optics.ray_table import pinhole_rays

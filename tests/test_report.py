@@ -30,10 +30,10 @@ from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.evaluation import blur_figures, figures, tables
 from chromaperture.evaluation.figures import layer_errors, plane_residual
 from chromaperture.evaluation.report import report_html
-from chromaperture.evaluation.session_facts import contradictions
 from chromaperture.evaluation.verdict import (
     board_depth,
     board_errors,
+    contradictions,
     depth_accuracy,
     intervals,
     sentences,

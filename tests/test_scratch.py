@@ -22,7 +22,7 @@ from chromaperture.matching.compiled import workspace
 from chromaperture.matching.working_scale import reduced
 from chromaperture.model.scale import resized
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
-from chromaperture.system import memory, scratch
+from chromaperture.system import memory
 from chromaperture.system.errors import CaptureWarning, InputError, OutOfMemoryError
 
 GIGA = 1e9
@@ -41,7 +41,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_an_array_on_disk_is_one_like_others_and_leaves_no_file(folder):
-    made = scratch.scratch_array((3, 4, 5))
+    made = memory.scratch_array((3, 4, 5))
     assert type(made) is np.ndarray
     assert made.dtype == np.float32
     assert (made == 0).all()
@@ -53,8 +53,8 @@ def test_an_array_on_disk_is_one_like_others_and_leaves_no_file(folder):
 def test_only_the_block_and_its_thread_have_volumes_on_disk(folder, monkeypatch):
     made = []
     monkeypatch.setattr(workspace, "scratch_array", lambda shape: made.append(shape) or np.empty(shape, np.float32))
-    with scratch.volumes_on_disk(True):
-        with scratch.volumes_on_disk(False):
+    with memory.volumes_on_disk(True):
+        with memory.volumes_on_disk(False):
             workspace.volume((2, 3, 4))
         assert made == []
         workspace.volume((2, 3, 4))
@@ -78,7 +78,7 @@ def small(calibration, monkeypatch):
 @pytest.mark.slow
 def test_results_are_the_same_to_the_bit(small, folder, monkeypatch):
     camera, image = small
-    on_disk, array = [], scratch.scratch_array
+    on_disk, array = [], memory.scratch_array
     monkeypatch.setattr(workspace, "scratch_array", lambda shape: on_disk.append(shape) or array(shape))
     with pytest.warns(CaptureWarning, match=f"kept in {re.escape(str(folder))}"):
         found = camera.measure(image)

@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 from scipy.special import erf
 
 from chromaperture.optics.aperture import Aperture
-from chromaperture.optics.pupil_samples import pupil_samples
+from chromaperture.optics.psf import pupil_samples
 
 _REACH = 0.42  # of a square, to either side of an edge: beyond lies the blur of the next edge; chosen by hand
 _SAMPLES = 61  # of a profile, more than the px it covers; chosen by hand

@@ -20,7 +20,7 @@ import numpy as np
 from chromaperture.color.image import SATURATION
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
 from chromaperture.optics.aperture import design_named, made_of
-from chromaperture.optics.pupil_samples import pupil_samples
+from chromaperture.optics.psf import pupil_samples
 from chromaperture.system.errors import InputError
 from chromaperture.system.robust import MAD_TO_SIGMA
 

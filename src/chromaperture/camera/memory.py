@@ -8,8 +8,14 @@ from chromaperture.model.camera_file import Calibration
 from chromaperture.model.scale import SCALES
 from chromaperture.settings.methods import Config
 from chromaperture.system.errors import CaptureWarning
-from chromaperture.system.memory import address_space_bytes, available_bytes, check_memory, limit_bytes
-from chromaperture.system.scratch import free_scratch_bytes, scratch_folder
+from chromaperture.system.memory import (
+    address_space_bytes,
+    available_bytes,
+    check_memory,
+    free_scratch_bytes,
+    limit_bytes,
+    scratch_folder,
+)
 
 # The program; a pixel of the photograph, with its results and files; a pixel that is matched, and a layer there. Peaks
 # of 0.35 to 24 megapixels at scales of 1/8 to 1/2 (`benchmarks/large_pictures.py`) are 2 to 27 % below the sums.
@@ -54,7 +60,7 @@ def check_camera_memory(what: str, calibration: Calibration, config: Config) -> 
     """Check that there is memory for a photograph, at least where its volumes are kept on disk.
 
     ``what``: the photograph, for messages; ``calibration``: of the photograph's size. Returns whether the volumes are
-    to be kept on disk (`chromaperture.system.scratch`). Raises OutOfMemoryError: it would need more than this process
+    to be kept on disk (`chromaperture.system.memory`). Raises OutOfMemoryError: it would need more than this process
     may use.
     """
     needed = needed_bytes(calibration, config)

@@ -136,7 +136,7 @@ def depth(
         "max_relative_sigma": max_relative_sigma, "inspect": partial(check_film, refuse=not anyway),
     }  # fmt: skip
     if cluster is not None:
-        from chromaperture.cli.depth_cluster import measure_archive
+        from chromaperture.cli.depth_batch import measure_archive
         from chromaperture.cli.setup import camera_for
         from chromaperture.products.archive_cluster import recipe_for
 

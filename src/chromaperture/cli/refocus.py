@@ -118,9 +118,8 @@ def refocus(
 
 def _check(request: _Request) -> None:
     """Raise InputError for options that contradict each other or are unknown."""
-    from chromaperture.effects.background import BACKGROUND_EFFECTS
     from chromaperture.effects.bokeh import bokeh_mask
-    from chromaperture.effects.focus_sweep import SUFFIXES
+    from chromaperture.effects.refocusing import BACKGROUND_EFFECTS, SUFFIXES
     from chromaperture.effects.restore import SHARPNESS
 
     if [request.distance_mm is not None, request.pixel is not None, request.sweep].count(True) > 1:
@@ -169,9 +168,8 @@ def _restored(
 
 
 def _write(picture: SharpPicture, lens: Focus, request: _Request, camera: CodedApertureCamera) -> None:
-    from chromaperture.effects.background import apply_background
-    from chromaperture.effects.focus_sweep import sweep, write_sweep
     from chromaperture.effects.refocus_device import compositor_of
+    from chromaperture.effects.refocusing import apply_background, sweep, write_sweep
     from chromaperture.files.pictures import write_color_png
     from chromaperture.system.storage import staged
 

@@ -9,7 +9,7 @@ from chromaperture.system.errors import InputError
 if TYPE_CHECKING:
     import numpy as np
 
-    from chromaperture.system.rows_on_demand import RowsOnDemand
+    from chromaperture.system.memory import RowsOnDemand
 
 # sigma / depth. Filled pixels and those of them within 5 % of the truth, real-time, 24 frames of a ray-traced walk past
 # halves of a pupil: 99 and 60 % without a limit, 66 and 71 % at 0.15, 45 and 81 % at 0.10, 18 and 89 % at 0.05.
@@ -57,7 +57,7 @@ def rows_within_error(depth_mm: np.ndarray, sigma_mm: np.ndarray, max_relative_s
     """Return `within_error`, made row by row when it is asked for; raises InputError as it does."""
     import numpy as np
 
-    from chromaperture.system.rows_on_demand import RowsOnDemand
+    from chromaperture.system.memory import RowsOnDemand
 
     def make(rows: slice) -> np.ndarray:
         return within_error(depth_mm[rows], sigma_mm[rows], max_relative_sigma)

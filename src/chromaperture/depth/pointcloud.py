@@ -10,7 +10,7 @@ import numpy as np
 
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.depth.pointcloud_kernels import back_project, interleave
-from chromaperture.system.rows_on_demand import Rows
+from chromaperture.system.memory import Rows
 from chromaperture.system.threads import each_band, in_parallel
 
 # Rays are linear between pixels so far apart, to within 0.002 px for a wide lens (focal length 500 px, k1 = 0.1).

@@ -14,14 +14,18 @@ beside the pictures that come in and go out.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, get_args
 
 import cv2
 import numpy as np
+from PIL import Image
 
-from chromaperture.effects.blur_layers import layer_radii
+from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
+from chromaperture.effects.layered_model import layer_radii
 from chromaperture.effects.refocusing_kernels import add_layer, layer_bounds, layer_planes, normalise, over_rows
 from chromaperture.matching.device.refocus_stages import RefocusLayer
 from chromaperture.optics.simulator.layer_renderer import behind_edges
@@ -211,3 +215,90 @@ def _blurred(planes: np.ndarray, layer: RefocusLayer) -> np.ndarray:
 def _convolved(planes: np.ndarray, kernel: np.ndarray) -> np.ndarray:
     # OpenCV correlates: rotate the kernel for a convolution.
     return np.asarray(cv2.filter2D(planes, -1, kernel[::-1, ::-1].copy(), borderType=cv2.BORDER_REFLECT))
+
+
+BackgroundEffect = Literal["keep", "desaturate", "blur"]
+BACKGROUND_EFFECTS: tuple[BackgroundEffect, ...] = get_args(BackgroundEffect)
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB, IEC 61966-2-1
+_RAMP_PX = 1.0  # blur radius over which the background sets in, and its distance from the focus; chosen by hand
+
+
+def background_weight(radius_px: np.ndarray, focus_radius_px: float) -> np.ndarray:
+    """Return how far each pixel belongs to the background of the focus, a smooth step; (H, W) float32 in [0, 1]."""
+    t = np.clip((radius_px - np.float32(focus_radius_px)) / _RAMP_PX - 1, 0, 1).astype(np.float32)
+    return t * t * (3 - 2 * t)
+
+
+def desaturate_background(color: np.ndarray, radius_px: np.ndarray, focus_radius_px: float) -> np.ndarray:
+    """Turn the background grey at its own luminance.
+
+    ``color`` (H, W, 3) float32, linear RGB; ``radius_px`` (H, W) float32, px: signed blur radius of the capture, +
+    beyond its focus; ``focus_radius_px``: that of the surface that keeps its colour. Returns (H, W, 3) float32.
+    """
+    grey = (color @ _LUMINANCE)[..., None]
+    weight = background_weight(radius_px, focus_radius_px)[..., None]
+    return np.asarray(color + weight * (grey - color), np.float32)
+
+
+def apply_background(
+    color: np.ndarray,
+    radius_px: np.ndarray,
+    focus: Focus,
+    effect: BackgroundEffect,
+    *,
+    compositor: Compositor | None = None,
+) -> np.ndarray:
+    """Refocus with one of the effects, see `refocus`; raises InputError for an unknown one; (H, W, 3) float32."""
+    if effect not in BACKGROUND_EFFECTS:
+        raise InputError(f"unknown background effect {effect!r}: choose {', '.join(BACKGROUND_EFFECTS)}")
+    if effect == "blur":  # only what lies behind the focus
+        radius_px = np.maximum(radius_px, np.float32(focus.radius_px))
+    elif effect == "desaturate":
+        color = desaturate_background(color, radius_px, focus.radius_px)
+    return refocus(color, radius_px, focus, compositor=compositor)
+
+
+_FRAMES_PER_SECOND = 12
+_MIN_SWEEP_PX = 3.0  # blur radius: range of the sweep of a flat scene; chosen by hand
+SUFFIXES = (".gif", ".mp4")
+
+
+def sweep(
+    color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, frames: int = 24, compositor: Compositor | None = None
+) -> Iterator[np.ndarray]:
+    """Yield pictures focused from near to far.
+
+    ``color``, ``radius_px``: as `refocus` takes them; ``focus``: pupil and strength; its focus is replaced;
+    ``compositor``: as `refocus` takes it. Yields (H, W, 3) uint8, sRGB.
+    """
+    if frames < 2:
+        raise InputError(f"a sweep needs at least 2 frames, got {frames}")
+    near, far = np.percentile(radius_px, (2, 98))  # without outliers
+    short = max(0.0, _MIN_SWEEP_PX - (far - near)) / 2
+    near, far = near - short, far + short
+    for radius in np.linspace(near, far, frames):
+        picture = refocus(color, radius_px, replace(focus, radius_px=float(radius)), compositor=compositor)
+        yield np.rint(linear_to_srgb(picture) * 255).astype(np.uint8)
+
+
+def write_sweep(path: Path, frames: Iterator[np.ndarray]) -> None:
+    """Write frames forwards and backwards; raises InputError for a suffix other than .gif and .mp4."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(f"cannot write a sweep as {path.suffix or 'a file without suffix'}: choose .gif or .mp4")
+    forwards = list(frames)
+    shown = forwards + forwards[-2:0:-1]
+    if path.suffix.lower() == ".gif":
+        pictures = [Image.fromarray(frame).quantize(128, dither=Image.Dither.FLOYDSTEINBERG) for frame in shown]
+        pictures[0].save(
+            path, save_all=True, append_images=pictures[1:], duration=1000 // _FRAMES_PER_SECOND, loop=0, format="GIF"
+        )
+        return
+    height, width = shown[0].shape[0] // 2 * 2, shown[0].shape[1] // 2 * 2  # the codec needs even sides
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), _FRAMES_PER_SECOND, (width, height))
+    if not video.isOpened():
+        raise InputError("this OpenCV cannot write MP4; choose a .gif")
+    try:
+        for frame in shown:
+            video.write(np.ascontiguousarray(frame[:height, :width, ::-1]))
+    finally:
+        video.release()

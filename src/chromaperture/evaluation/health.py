@@ -15,7 +15,7 @@ from chromaperture.calibration.chessboard import Intrinsics, board_points, find_
 from chromaperture.calibration.fit_response import fit_response, fold_board
 from chromaperture.camera.method import sensor_noise
 from chromaperture.capture.exif import Exif
-from chromaperture.color.film_match import FilmMatch, match_film
+from chromaperture.color.film import FilmMatch, match_film
 from chromaperture.color.image import SATURATION, checked_image
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import depth_to_disparity

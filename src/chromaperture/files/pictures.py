@@ -9,7 +9,7 @@ import numpy as np
 import tifffile
 
 from chromaperture.color.srgb import linear_to_srgb_bytes
-from chromaperture.system.rows_on_demand import Rows, RowsOnDemand
+from chromaperture.system.memory import Rows, RowsOnDemand
 
 
 def write_float_tiff(path: str | Path, values: np.ndarray) -> None:

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, rows_within_error
+from chromaperture.color.srgb import linear_to_srgb_bytes
+from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, rows_within_error, within_error
 from chromaperture.depth.pointcloud import write_depth_ply
 from chromaperture.files.pictures import write_color_png, write_depth_png, write_float_tiff
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.summary import summarise
 from chromaperture.system.errors import InputError
-from chromaperture.system.rows_on_demand import Rows
+from chromaperture.system.memory import Rows
 from chromaperture.system.storage import staged, write_json
 from chromaperture.system.threads import parallel_map
 
@@ -100,7 +101,7 @@ def write_maps(
     # What two files have in common.
     srgb = small = nothing
     if wanted & {"color", "ply", "preview"}:
-        from chromaperture.frame.color_pictures import color_pictures  # with what draws the preview
+        from chromaperture.frame.preview import color_pictures  # its libraries are not always needed
 
         srgb, small = color_pictures(frame)
     certain_mm: Rows = nothing
@@ -128,8 +129,6 @@ def write_maps(
                 texts = {"title": title or stem, "caption": caption}
                 write_preview(path, frame.image, frame, color=small, depth_range_mm=depth_range_mm, **texts)
             case _:
-                from chromaperture.frame.other_formats import write_format
-
                 write_format(name, path, frame, max_relative_sigma=max_relative_sigma)
 
     jobs = [(name, target(stem + OUTPUTS[name].suffix)) for name in OUTPUTS if name in wanted and name != "json"]
@@ -149,3 +148,46 @@ def save(
             write_json(stage.path(stem + OUTPUTS["json"].suffix), summary)
         names = list(stage.names)
     return [folder / name for name in names]
+
+
+def write_format(name: str, path: Path, frame: DepthFrame, *, max_relative_sigma: float) -> None:
+    """Write ``gdepth``, ``dynamic-depth``, ``exr``, ``glb`` or ``usdz`` of a frame.
+
+    ``name``: of `OUTPUTS`; ``frame``: of a calibrated camera; ``max_relative_sigma``: largest sigma / depth of all but
+    ``exr``, which is whole. Raises InputError: the frame has no depth in mm, or nothing is left within the limit.
+    Raises MissingDependencyError: the format's extra is not installed.
+    """
+    if frame.calibration is None or frame.config is None or not frame.calibration.is_calibrated:
+        raise InputError(f"{name} needs a frame of a calibrated camera; make one with 'chromaperture calibrate'")
+    lens = frame.calibration.lens
+    matrix, to_pupil_mm = lens.camera_matrix, frame.calibration.depth[frame.config.quality].sensor_to_pupil_mm
+    if name == "exr":
+        from chromaperture.files.depth_exr import write_exr
+
+        write_exr(
+            path, color=frame.color, depth_mm=frame.depth_mm, sigma_mm=frame.sigma_mm, confidence=frame.confidence,
+            camera_matrix=matrix, sensor_to_pupil_mm=to_pupil_mm,
+        )  # fmt: skip
+        return
+    z_mm = within_error(frame.depth_mm, frame.sigma_mm, max_relative_sigma) - np.float32(to_pupil_mm)
+    color = linear_to_srgb_bytes(frame.color)
+    if name in ("gdepth", "dynamic-depth"):
+        from chromaperture.files.depth_photo import dynamic_depth_jpeg, encode_depth, gdepth_jpeg
+
+        encoded = encode_depth(z_mm, frame.confidence)
+        is_gdepth = name == "gdepth"
+        path.write_bytes(
+            gdepth_jpeg(color, encoded) if is_gdepth else dynamic_depth_jpeg(color, encoded, camera_matrix=matrix)
+        )
+        return
+    from chromaperture.files.textured_mesh import textured_mesh
+
+    mesh = textured_mesh(z_mm, color, camera_matrix=matrix, distortion=lens.distortion)
+    if name == "glb":
+        from chromaperture.files.depth_glb import glb_bytes
+
+        path.write_bytes(glb_bytes(mesh))
+    else:
+        from chromaperture.files.depth_usdz import write_usdz
+
+        write_usdz(path, mesh)

@@ -14,7 +14,7 @@ from chromaperture.optics.aperture import DESIGNS, Aperture
 from chromaperture.optics.paraxial import paraxial
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.prescription import Prescription
-from chromaperture.optics.pupil_samples import pupil_samples
+from chromaperture.optics.psf import pupil_samples
 from chromaperture.optics.trace import trace
 from chromaperture.system.errors import InputError
 

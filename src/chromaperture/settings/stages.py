@@ -188,7 +188,7 @@ class CrossFilterConfig(Settings):
     fallback_weight: NotNegative = 0.5
     #: Nats of the widest pair's best layer at which that weight has fallen to 1/e.
     fallback_nats: Positive = 0.1
-    #: Whether evidence counts as far as it is a pixel's own (``matching/own_detail.py``).
+    #: Whether evidence counts as far as it is a pixel's own (``matching/evidence/spectral.py``).
     own_detail: bool = False
     #: Growth of a window's power beyond which detail comes from elsewhere (``readable/band_correlation.py``); 0 is any.
     allowed_growth: NotNegative = 0.0

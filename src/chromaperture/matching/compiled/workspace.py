@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from chromaperture.system.scratch import are_volumes_on_disk, scratch_array
+from chromaperture.system.memory import are_volumes_on_disk, scratch_array
 
 _CACHE_LINE = 64  # bytes: a vector that straddles two lines costs two loads
 _SMALL = 1 << 26  # bytes: so much is not given back when less is asked for

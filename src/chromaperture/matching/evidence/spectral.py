@@ -36,11 +36,10 @@ from chromaperture.matching.evidence.half_pixels import (
 )
 from chromaperture.matching.evidence.spectral_model import SpectralModel, Windows
 from chromaperture.matching.labels import LabelMap
-from chromaperture.matching.own_detail import own_detail
 from chromaperture.matching.readable.paths import lagrange_weights
 from chromaperture.matching.readable.tiles import without_shading
 from chromaperture.matching.result import NoiseModel
-from chromaperture.settings.stages import SpectralConfig
+from chromaperture.settings.stages import CrossFilterConfig, SpectralConfig
 from chromaperture.system.threads import parallel_map
 
 EVERY_LAYER = 2  # layers are 0.3 px of blur apart, for small windows; these see half of them
@@ -239,3 +238,41 @@ def _add_enlarged(at_windows: np.ndarray, stride: int, likelihood: np.ndarray) -
             likelihood[row] += above * (1 - share[row]) + below * share[row]
 
     parallel_map(add, range(len(at_windows)))
+
+
+OWN_SIGMA_PX = 1.5  # of the narrow window: 2.7 times narrower than that of the correlation; chosen by hand
+_LEAST_POWER = np.float32(1e-14)  # against division by 0
+
+
+def own_detail(
+    image: np.ndarray, noise_variance: np.ndarray | None, channels: tuple[int, ...], config: CrossFilterConfig
+) -> np.ndarray:
+    """Return the share of its window's evidence that is a pixel's own; (H, W) float32 in [0, 1].
+
+    ``image`` (H, W, 3) float32, linear RGB, finite; ``noise_variance`` (H, W, 3) float: without it nothing is taken off
+    for noise; ``channels``: that are correlated.
+    """
+    fine = min(low for low, _ in config.bands_px)
+    coarse = max(high for _, high in config.bands_px)
+    power = np.zeros(image.shape[:2], np.float32)
+    for k in channels:
+        channel = np.ascontiguousarray(image[..., k], np.float32)
+        detail = _smooth(channel, fine) - _smooth(channel, coarse)
+        power += detail * detail / np.float32(len(channels))
+    window = _smooth(power, config.window_sigma_px) + _LEAST_POWER
+    own = np.minimum(1, _smooth(power, OWN_SIGMA_PX) / window)
+    if noise_variance is None:
+        return np.asarray(own, np.float32)
+    mean = np.nan_to_num(np.asarray(noise_variance, np.float32)[..., list(channels)].mean(axis=2), posinf=0, neginf=0)
+    noise = _smooth(mean, config.window_sigma_px) * np.float32(_power_of_noise(fine, coarse))
+    signal = np.maximum(0, 1 - noise / window)
+    return np.asarray(own * signal**2, np.float32)
+
+
+def _power_of_noise(fine_px: float, coarse_px: float) -> float:
+    """Share of the power of white noise that the difference of two Gaussians passes."""
+    return (fine_px**-2 + coarse_px**-2 - 4 / (fine_px**2 + coarse_px**2)) / (4 * math.pi)
+
+
+def _smooth(picture: np.ndarray, sigma_px: float) -> np.ndarray:
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT_101))

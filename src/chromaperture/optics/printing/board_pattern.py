@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import cv2
 import numpy as np
 
-from chromaperture.optics.printing.printed_page import add_text, new_page, write_pages
+from chromaperture.optics.printing.template import add_text, new_page, write_pages
 from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
