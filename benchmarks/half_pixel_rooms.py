@@ -24,7 +24,6 @@ from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.half_pixels import HalfPixels, half_pixel_rays
 from chromaperture.optics.paraxial import focused_at, paraxial
 from chromaperture.optics.pinhole import pupil_camera
 from chromaperture.optics.ray_table import RayTable, lens_rays
@@ -33,6 +32,7 @@ from chromaperture.optics.simulator.scene import Plane, plane
 from chromaperture.settings.methods import AccurateConfig
 from chromaperture_paper.dual_pixel_camera import FULL_WELL_ELECTRONS, SENSOR_WIDTH_MM, lens_of_json
 from chromaperture_paper.dual_pixel_noise import camera_for
+from chromaperture_paper.half_pixels import HalfPixels, half_pixel_rays
 
 WIDTH, HEIGHT = 768, 512
 HALVES, FOCUS_MM = HalfPixels(slope=0.414, half_slope_px=336.0), 956.0  # by the two boards; from the pupil

@@ -10,8 +10,8 @@ import time
 import cv2
 import numpy as np
 
-from chromaperture.matching.total_variation import smooth_disparity
 from chromaperture.system.threads import limited_threads, thread_count
+from chromaperture_paper.total_variation import smooth_disparity
 
 SHAPE = (1280, 1920)
 ITERATIONS = 100

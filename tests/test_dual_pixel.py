@@ -6,13 +6,13 @@ import pytest
 
 from chromaperture.camera.method import default_config, sensor_noise
 from chromaperture.depth.field import DepthField
-from chromaperture.optics.half_pixels import HalfPixels
 from chromaperture.optics.prescription import load_lens
 from chromaperture.settings.methods import ALLOWED_GROWTH, AccurateConfig
 from chromaperture.system.errors import InputError
 from chromaperture_paper import dual_pixel_camera, dual_pixel_session
 from chromaperture_paper.dual_pixel_camera import FOCUS_SIGMA, uncalibrated, with_focus_error
 from chromaperture_paper.dual_pixel_noise import camera_for, noise_scale
+from chromaperture_paper.half_pixels import HalfPixels
 
 SHAPE = (256, 384)
 SHIFTS_PX = dual_pixel_camera._SHIFTS_PX  # private: the test is of the settings that go with them

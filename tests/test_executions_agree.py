@@ -25,9 +25,7 @@ from chromaperture.matching.labels import IDENTITY, LabelMap, labels_between
 from chromaperture.matching.readable.correlation import SCORE_PARTS, exponential_window
 from chromaperture.matching.readable.cross_filter import Tile
 from chromaperture.matching.readable.four_paths import log_likelihood, scores_at_labels, summed_costs
-from chromaperture.matching.readable.variation import Problem, State, step_sizes
 from chromaperture.matching.real_time import RealTimeMethod
-from chromaperture.matching.total_variation import make_problem, smooth_disparity
 from chromaperture.matching.views import Views, filtered_views, halved_views
 from chromaperture.matching.whole_light import in_whole_units
 from chromaperture.matching.winner import PathWinner, Surface
@@ -43,6 +41,9 @@ from chromaperture.settings.stages import (
 )
 from chromaperture.system.errors import InputError
 from chromaperture.system.threads import limited_threads
+from chromaperture_paper import variation, variation_kernels
+from chromaperture_paper.total_variation import make_problem, smooth_disparity
+from chromaperture_paper.variation import Problem, State, step_sizes
 from worlds import NARROW, lens_blur, space_of, wavy_capture
 
 SLOW, FAST = execution_named("numpy"), execution_named("numba")
@@ -567,11 +568,11 @@ def test_iterations_of_the_variation_and_its_gap_agree(shape, seed, data_term, e
     problem = random_problem(np.random.default_rng(seed), shape, data_term=data_term, edged=edged, holes=False)
     states = [State.start(problem.target) for _ in range(2)]
     with limited_threads(threads):
-        for run, state in zip((FAST, SLOW), states, strict=True):
-            run.iterate_variation(problem, state, step_sizes(20, primal_step=0.35))
+        for run, state in zip((variation_kernels, variation), states, strict=True):
+            run.iterate(problem, state, step_sizes(20, primal_step=0.35))
     # Same operations in another order: a few float32 roundings of numbers up to 2.5, for 20 iterations.
     np.testing.assert_allclose(states[0].u, states[1].u, atol=1e-5)
-    gaps = [run.variation_gap(problem, states[0]) for run in (FAST, SLOW)]
+    gaps = [run.gap_per_px(problem, states[0]) for run in (variation_kernels, variation)]
     assert gaps[0] == pytest.approx(gaps[1], rel=1e-9, abs=1e-9)  # float64 sums
 
 

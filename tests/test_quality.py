@@ -11,9 +11,9 @@ import pytest
 from typer.testing import CliRunner
 
 from chromaperture.cli.main import app
-from chromaperture.evaluation.depth_quality import ZONES, by_cell, cells, plane_quality
 from chromaperture.model.camera_file import Calibration
 from chromaperture.system.errors import InputError
+from chromaperture_paper.quality import ZONES, by_cell, cells, plane_quality
 from chromaperture_paper.run import RESULT
 from worlds import RULERS_MM
 

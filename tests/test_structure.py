@@ -58,7 +58,6 @@ MAY_IMPORT_EXECUTIONS = MAY_IMPORT_CPU | {
     "matching/evidence/blur.py",  # tiles of the frame
     "matching/evidence/spectral.py",  # a photograph without its shading, and the cubic between layers
     "matching/evidence/spectral_model.py",  # what that takes away
-    "matching/total_variation.py",  # the problem and its state
     "matching/planes/fit.py",  # what a plane costs
     "matching/planes/regions.py",  # how pairs of regions are summed
     "matching/working_scale.py",  # the maps that both bring to full size

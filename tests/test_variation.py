@@ -6,8 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from chromaperture.matching import compiled as cpu
-from chromaperture.matching.readable.variation import (
+from chromaperture.system.errors import InputError
+from chromaperture_paper import variation_kernels
+from chromaperture_paper.total_variation import CHECK_EVERY, make_problem, smooth_disparity
+from chromaperture_paper.variation import (
     OPERATOR_NORM_SQUARED,
     Problem,
     State,
@@ -19,8 +21,6 @@ from chromaperture.matching.readable.variation import (
     iterate,
     step_sizes,
 )
-from chromaperture.matching.total_variation import CHECK_EVERY, make_problem, smooth_disparity
-from chromaperture.system.errors import InputError
 
 
 def spoilt_map(rng, shape=(96, 96)):
@@ -86,7 +86,7 @@ def test_every_step_size_finds_the_same_optimum(data_term):
     found = []
     for primal_step in (0.15, 0.35, 0.8):
         state = State.start(p.target)
-        cpu.iterate_variation(p, state, steps(6000, primal_step))
+        variation_kernels.iterate(p, state, steps(6000, primal_step))
         found.append(state.u)
         assert gap_per_px(p, state) < 1e-5  # 1e-7 is found
     # The optimum is unique where h and the data term are; float32 iterations stall at about 1e-4 px.
@@ -97,7 +97,7 @@ def test_every_step_size_finds_the_same_optimum(data_term):
 def test_optimum_agrees_with_a_general_purpose_minimiser():
     p = problem(np.random.default_rng(4), (6, 7), data_term="quadratic", huber=0.3)
     state = State.start(p.target)
-    cpu.iterate_variation(p, state, steps(4000))
+    variation_kernels.iterate(p, state, steps(4000))
     start = np.clip(p.target, *p.bounds).ravel().astype(float)
     best = minimize(
         lambda u: energy(p, u.reshape(6, 7)), start, bounds=[p.bounds] * 42, method="L-BFGS-B",
@@ -124,7 +124,7 @@ def test_every_schedule_of_bands_and_sweeps_gives_the_readable_iterations(data_t
     p = problem(np.random.default_rng(6), (37, 29), data_term=data_term, edged=edged)
     reference, fast = State.start(p.target), State.start(p.target)
     iterate(p, reference, steps(43))
-    cpu.iterate_variation(p, fast, steps(43), bands=bands, sweep=sweep)
+    variation_kernels.iterate(p, fast, steps(43), bands=bands, sweep=sweep)
     # Same operations in another order: a few float32 roundings of numbers up to 2.5, for 43 iterations.
     np.testing.assert_allclose(fast.u, reference.u, atol=2e-5)
     np.testing.assert_allclose(fast.extrapolated, reference.extrapolated, atol=5e-5)

@@ -1,6 +1,6 @@
 """A dual-pixel camera as one with a cyan/yellow pupil: its photographs, and its calibration from a lens prescription.
 
-The two halves of every pixel see the pupil through opposite ramps (`optics/half_pixels.py`). Red takes the half that
+The two halves of every pixel see the pupil through opposite ramps (`half_pixels.py`). Red takes the half that
 sees the right of the pupil, blue the other, green their mean. What the prescription cannot know is the sensor's
 crosstalk, two numbers, and how far the lens's focus is off its mark: both are taken from two flat boards.
 
@@ -29,16 +29,16 @@ from chromaperture.matching.labels import IDENTITY
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import CameraSensor, Film
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.half_pixels import HalfPixels
 from chromaperture.optics.lens_blur import BlurModel, LensBlur
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.pinhole import centered_pinhole, pupil_camera
 from chromaperture.optics.prescription import Prescription, lens_from_dict
 from chromaperture.optics.ray_table import lens_rays
-from chromaperture.optics.traced_blur import fit_to_rays
 from chromaperture.settings.methods import QUALITIES, AccurateConfig, Quality
 from chromaperture.system.errors import InputError
 from chromaperture.system.robust import huber_weights, robust_sigma
+from chromaperture_paper.half_pixels import HalfPixels
+from chromaperture_paper.traced_blur import fit_to_rays
 
 SENSOR_WIDTH_MM = 36.0  # full frame
 FOCUS_MM = 1000.0  # from the sensor, as the set states

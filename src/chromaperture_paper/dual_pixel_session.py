@@ -19,7 +19,6 @@ from chromaperture.calibration.progress import Progress, silent
 from chromaperture.depth.field import DepthField
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS, Aperture
-from chromaperture.optics.half_pixels import HalfPixels, half_pixel_rays
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.optics.paraxial import focused_at, paraxial
 from chromaperture.optics.pinhole import centered_pinhole, pupil_camera
@@ -28,6 +27,7 @@ from chromaperture.optics.ray_table import RayTable, lens_rays
 from chromaperture.optics.simulator.sensor import SensorModel
 from chromaperture.optics.simulator.session import SessionPlan, write_session
 from chromaperture_paper.dual_pixel_camera import with_focus_error
+from chromaperture_paper.half_pixels import HalfPixels, half_pixel_rays
 
 # Even in 1 / z, from the nearest that the lens focuses to where parallax changes by .02 px
 BOARDS_MM = tuple(float(round(1 / inverse)) for inverse in np.linspace(1 / 450, 1 / 5000, 12))

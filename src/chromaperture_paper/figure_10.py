@@ -7,12 +7,12 @@ import numpy as np
 from chromaperture.color.color_maps import DISTANCE, color_map
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.evaluation.figures import new_figure
-from chromaperture.matching.total_variation import smooth_disparity
 from chromaperture.optics.aperture import channel_transmission
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture_paper import methods, world
 from chromaperture_paper.context import Context
 from chromaperture_paper.exhibit import Chart, Comparison, Content, CsvTable
+from chromaperture_paper.total_variation import smooth_disparity
 from chromaperture_paper.world import EIGHT, NUMERALS, full_name
 
 _SEED = 0

@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 
 from chromaperture.matching.estimate import estimate_disparity
-from chromaperture.matching.total_variation import smooth_disparity
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.psf import geometric_otf
 from chromaperture.optics.simulator.textures import noise
@@ -19,6 +18,7 @@ from chromaperture_paper import methods
 from chromaperture_paper.context import Context
 from chromaperture_paper.exhibit import Comparison, Content, CsvTable
 from chromaperture_paper.prior.annulus import annulus_radius
+from chromaperture_paper.total_variation import smooth_disparity
 
 _HD, _PAPER = (720, 1280), (1280, 1920)  # rows, columns, of the paper's pictures
 _ANNULUS_PARTS = 64  # the annulus is timed on this part of the paper's picture

@@ -16,7 +16,6 @@ from chromaperture.matching.readable.cross_filter import Tile
 from chromaperture.matching.readable.paths import Posterior
 from chromaperture.matching.readable.planes import PlaneCosts
 from chromaperture.matching.readable.upsample import Coarse
-from chromaperture.matching.readable.variation import Problem, State, Steps
 from chromaperture.matching.views import Views
 from chromaperture.matching.winner import PathWinner, Surface, Winner
 from chromaperture.settings.methods import ExecutionName
@@ -165,12 +164,6 @@ class Execution(Protocol):
         self, total: np.ndarray, pairs: np.ndarray, border: np.ndarray, *, plane_penalty: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Join neighbouring regions while the energy falls: which one each became part of, (R,), and costs, (R, K)."""
-
-    def iterate_variation(self, problem: Problem, state: State, steps: Steps) -> None:
-        """Run primal-dual iterations in place."""
-
-    def variation_gap(self, problem: Problem, state: State) -> float:
-        """Return the primal-dual gap per pixel."""
 
 
 def execution_named(name: ExecutionName) -> Execution:

@@ -73,7 +73,7 @@ def _imports(path: Path) -> tuple[Path, ...]:
     names: list[str] = []
     for module, imported in _IMPORT.findall(path.read_text(encoding="utf-8")):
         names += [module, *(f"{module}.{name}" for name in _NAME.findall(imported))]
-    paths = (_PACKAGE.joinpath(*name.split(".")[1:]).with_suffix(".py") for name in names if "." in name)
+    paths = (_PACKAGE.parent.joinpath(*name.split(".")).with_suffix(".py") for name in names if "." in name)
     return tuple(p for p in dict.fromkeys(paths) if p.is_file())
 
 

@@ -13,7 +13,6 @@ from chromaperture.matching.compiled.planes import agreed_plane, plane_costs
 from chromaperture.matching.compiled.smoothing import smooth_along_surface
 from chromaperture.matching.compiled.spectral_likelihood import spectral_likelihood
 from chromaperture.matching.compiled.upsample import upsample
-from chromaperture.matching.compiled.variation import iterate_variation, variation_gap
 from chromaperture.optics.splat_kernels import point_transforms
 
 __all__ = [
@@ -27,7 +26,6 @@ __all__ = [
     "enlarge",
     "four_path_winner",
     "halved_surface",
-    "iterate_variation",
     "join_regions",
     "place_by_correlation",
     "plane_costs",
@@ -38,5 +36,4 @@ __all__ = [
     "spectral_likelihood",
     "texture_weights",
     "upsample",
-    "variation_gap",
 ]

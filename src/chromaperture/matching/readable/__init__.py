@@ -13,8 +13,6 @@ from chromaperture.matching.readable.planes import agreed_plane, plane_costs
 from chromaperture.matching.readable.smoothing import smooth_along_surface
 from chromaperture.matching.readable.spectral_likelihood import spectral_likelihood
 from chromaperture.matching.readable.upsample import upsample
-from chromaperture.matching.readable.variation import gap_per_px as variation_gap
-from chromaperture.matching.readable.variation import iterate as iterate_variation
 from chromaperture.optics.lens_blur import point_transforms
 
 __all__ = [
@@ -28,7 +26,6 @@ __all__ = [
     "enlarge",
     "four_path_winner",
     "halved_surface",
-    "iterate_variation",
     "join_regions",
     "place_by_correlation",
     "plane_costs",
@@ -39,5 +36,4 @@ __all__ = [
     "spectral_likelihood",
     "texture_weights",
     "upsample",
-    "variation_gap",
 ]

@@ -7,15 +7,15 @@ never depth itself.
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
 
-from chromaperture.matching.execution import execution_named
-from chromaperture.matching.readable.variation import OPERATOR_NORM_SQUARED, Problem, State, Steps, step_sizes
 from chromaperture.settings.methods import ExecutionName
 from chromaperture.system.errors import InputError
+from chromaperture_paper import variation
+from chromaperture_paper.variation import OPERATOR_NORM_SQUARED, Problem, State, Steps, step_sizes
 
 DataTerm = Literal["absolute", "quadratic"]
 CHECK_EVERY = 25  # iterations between two evaluations of the gap; chosen by hand
@@ -60,7 +60,7 @@ def smooth_disparity(
     problem = make_problem(
         disparity_px, weights, edges, bounds_px=bounds_px, fidelity=fidelity, huber=huber_px, data_term=data_term
     )
-    run = execution_named(execution)
+    run = _execution(execution)
     # The quadratic term is strongly convex only where every pixel has a weight.
     convexity = float(problem.weight.min()) if problem.quadratic else 0.0
     steps = step_sizes(iterations, primal_step=primal_step, strong_convexity=convexity)
@@ -70,10 +70,19 @@ def smooth_disparity(
     distance = math.inf
     while done < iterations and distance > tolerance:
         until = min(done + chunk, iterations)
-        run.iterate_variation(problem, state, Steps(*(s[done:until] for s in steps)))
+        run.iterate(problem, state, Steps(*(s[done:until] for s in steps)))
         done = until
-        distance = run.variation_gap(problem, state)
+        distance = run.gap_per_px(problem, state)
     return Smoothed(state.u, distance, done)
+
+
+def _execution(name: ExecutionName) -> Any:
+    """Return the module of an execution."""
+    if name == "numpy":
+        return variation
+    from chromaperture_paper import variation_kernels  # compiling starts here, not at import
+
+    return variation_kernels
 
 
 def make_problem(

@@ -1,4 +1,4 @@
-"""Primal-dual iterations of total variation, compiled; ``readable/variation.py`` explains what is computed.
+"""Primal-dual iterations of total variation, compiled; ``variation.py`` explains what is computed.
 
 An iteration reads and writes far more than it computes, so what counts is how often the arrays travel from
 memory. Row i of iteration t needs only rows i - 1 .. i + 1 of iteration t - 1. The sweep therefore runs as
@@ -14,18 +14,16 @@ from itertools import pairwise
 import numpy as np
 
 from chromaperture.matching.compiled.paths import FAST
-from chromaperture.matching.readable.variation import Problem, State, Steps
 from chromaperture.system.compilation import compiled, inlined
 from chromaperture.system.threads import in_parallel, parallel_map, thread_count
+from chromaperture_paper.variation import Problem, State, Steps
 
 SWEEP = 10  # iterations in one sweep: seven arrays of so many rows of 2000 px fill a level-2 cache of 512 kB
 EXTRAPOLATED, U, DUAL_X, DUAL_Y = range(4)
 
 
-def iterate_variation(
-    problem: Problem, state: State, steps: Steps, *, sweep: int = SWEEP, bands: int | None = None
-) -> None:
-    """Run the primal-dual iterations on ``state`` in place, as `stages.iterate_variation`."""
+def iterate(problem: Problem, state: State, steps: Steps, *, sweep: int = SWEEP, bands: int | None = None) -> None:
+    """Run the primal-dual iterations on ``state`` in place, as `variation.iterate`."""
     height, total = len(problem.target), len(steps.primal)
     count = max(1, min(bands or thread_count(), height // 4))
     sweep = max(1, min(sweep, height // count, total))
@@ -77,8 +75,8 @@ class _Band:
             values[self.first : self.last] = own[self.first - self.low : self.last - self.low]
 
 
-def variation_gap(problem: Problem, state: State) -> float:
-    """Return the primal-dual gap per pixel, as `stages.variation_gap`."""
+def gap_per_px(problem: Problem, state: State) -> float:
+    """Return the primal-dual gap per pixel, as `stages.gap_per_px`."""
     rows = np.zeros(len(state.u))
     lo, hi, edges = *problem.bounds, _edges(problem)
 
