@@ -31,7 +31,7 @@ from chromaperture.stage_config import (
 
 _HALVES_APART = 2.0  # px by which two halves move apart a px of half disparity
 # Px by which views move apart a px of disparity. Three views below the first have their layers farther apart, by the
-# second over what they move: 0.8 px instead of 0.5 for CMY circles, which move 0.75 px (docs/measurements.md, *Layers
+# second over what they move: 0.8 px instead of 0.5 for CMY circles, which move 0.75 px (docs/decisions.md, *Layers
 # of three circles*). CMY squares (1 px) keep theirs: otherwise they would take .97 and 1.10 of the time of OpenCV's
 # SGBM 3WAY on one and two threads, instead of .74 and .88 (benchmarks/matcher.py).
 _CLOSE_VIEWS, _LAYERS_APART = 0.9, 1.2
@@ -41,7 +41,7 @@ ExecutionName = Literal["numba", "numpy"]
 # Of quality accurate over a camera's working range. A dual-pixel camera's 2.3 px (benchmarks/dual_pixel.py) in layers
 # of 0.25, 0.125 and 0.06 px: ratio below 1.25 of casual scenes .66, .70, .73.
 LEAST_LAYERS = 32
-# Of the power in a window, see `CrossFilterConfig`. docs/measurements.md (*Detail from elsewhere*) has 1, 1.5, 2 and 4,
+# Of the power in a window, see `CrossFilterConfig`. docs/decisions.md (*Detail from elsewhere*) has 1, 1.5, 2 and 4,
 # and why only views that lie close together have it.
 ALLOWED_GROWTH = 2.0
 # See `PlanesConfig.known_from_nats`, where blur and noise are known: frames of noise alone reach .00012.
@@ -93,7 +93,7 @@ class PaperConfig(MatcherConfig):
         Least standard deviation of the views' displacement, px.
     hue_share : float
         Of the error bar of the search range, where views mixed of several channels have nothing in common at the
-        disparity that was found; see `disparity.unlike_views`. docs/measurements.md, *Hues in unmixed views*, has 0
+        disparity that was found; see `disparity.unlike_views`. docs/decisions.md, *Hues in unmixed views*, has 0
         to 1.
     """
 
@@ -123,7 +123,7 @@ class RealTimeConfig(MatcherConfig):
     brings the surface back to full resolution. ``presmooth_sigma_px`` and ``smoothing_sigma_px``
     count px of the halved picture; disparities do not. Chosen on simulated captures; ``benchmarks/ablation.py``
     measures each. Views are read by B-splines: with the smoothed cubic of other methods flat boards lock half as much
-    to the layers, but no more is found (docs/measurements.md, *Flat boards and the layers*). ``presmooth_sigma_px`` is
+    to the layers, but no more is found (docs/decisions.md, *Flat boards and the layers*). ``presmooth_sigma_px`` is
     that of views that lie 2 px a px of disparity apart, as two halves do; see `for_views`.
 
     Attributes
@@ -246,7 +246,7 @@ class AccurateConfig(MatcherConfig):
             count in blur, so that designs whose views lie close together are searched as finely.
         one_pair : bool
             Whether the widest separation is that of one pair of channels, as of two halves. Where such views lie apart,
-            evidence counts as far as it is a pixel's own; docs/measurements.md, "Weak texture of all pairs".
+            evidence counts as far as it is a pixel's own; docs/decisions.md, *Weak texture of all pairs*.
         full_well_electrons : float, optional
             Of the sensor, see `CrossFilterConfig.for_blur`.
         """

@@ -8,14 +8,14 @@ from chromaperture.stage_config import all_finite, require
 
 # Of px of half disparity for a px of the pupil edge's displacement, with the samples' real film: the open aperture has
 # .09, circles .20, halves .33, three squares .42 (with film that leaks nothing .13, .27, .42, .50). What this evidence
-# gains for each is in docs/measurements.md, *All channels at once*.
+# gains for each is in docs/decisions.md, *All channels at once*.
 LEAST_REACH_OF_PAIRS = 0.15
 LEAST_REACH_OF_PAIRS_ALONE = 0.37
 
 
 @dataclass(frozen=True)
 class SpectralConfig:
-    """Evidence of all channels together: ``disparity/spectral_evidence.py``. docs/measurements.md has what each gains.
+    """Evidence of all channels together: ``disparity/spectral_evidence.py``; docs/decisions.md has what each gains.
 
     Attributes
     ----------

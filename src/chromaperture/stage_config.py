@@ -19,7 +19,7 @@ _BENCH_FULL_WELL = 5000.0  # electrons, of the sensor of bench50
 _ROUNDING = 1e-6  # of the quotient of a range and its step
 # Px^2 by which reading a view between its pixels smooths. Of textures of 1/f behind a Gaussian of 0.4 px a displacement
 # comes out wrong by at most .0128, .0083, .0047, .0023, .0013, .0033 px with 1/3, .38, .42, .45, .49, .55 px^2, and
-# detail differs between the phases by .031, .019, .011, .008, .014, .025 (docs/measurements.md, *Flat boards and the
+# detail differs between the phases by .031, .019, .011, .008, .014, .025 (docs/decisions.md, *Flat boards and the
 # layers*).
 SAMPLED_PX2 = {"catmull-rom": 0.0, "b-spline": 1 / 3, "smoothed-cubic": 0.45}
 
@@ -122,7 +122,7 @@ class CorrelationConfig:
         the last displaces fine detail least wrongly.
     cell_px : {1, 2}
         Side of the squares of pixels that share a score. 2: the window is a triangle of 5 px (``window_decay`` is not
-        used), which takes a quarter of the volume and finds more (docs/measurements.md, *Cells*).
+        used), which takes a quarter of the volume and finds more (docs/decisions.md, *Cells*).
     """
 
     window_decay: float = 0.80
@@ -184,7 +184,7 @@ class FourPathsConfig:
         Fraction of the penalties that remains across the strongest edge of the guide.
     row_share : float
         Share of the costs along the rows that the columns take for evidence of their own; see
-        `disparity.stages.four_paths`, and docs/measurements.md, *Rows before columns*.
+        `disparity.stages.four_paths`, and docs/decisions.md, *Rows before columns*.
     temperature : float
         Nats by which a layer may cost more and still be 1/e as probable. Where the layers that are left are as wide as
         the range, a pixel is unknown. Fitted on captures of known depth.
@@ -238,7 +238,7 @@ class CrossFilterConfig:
         coarser octave lowers the fraction within 2 % (``benchmarks/ablation.py``, "three octaves"): its windows hold
         too few periods, and slow changes of colour look like displacement.
     band_weights : tuple of float
-    window_sigma_px : float; of the correlation's Gaussian. 8 px instead of 4: docs/measurements.md, "window of 8 px"
+    window_sigma_px : float; of the correlation's Gaussian. 8 px instead of 4: docs/decisions.md, *Parts of the chain*
     damping : float
         eps of ``blur_evidence.py``, against noise where the blur leaves no signal.
     noise_margin : float

@@ -111,7 +111,7 @@ def view_spaces(
         Rows of M^-1, Eq. (1). That of the aperture's own film when absent.
     space : {"unmixed", "pure", "channels", "both"}
         For ``pure`` and ``both``, a design without pure channels has its unmixed views only, but for ``both`` and three
-        views its channels: through CMY circles and squares twice as much is found by them (docs/measurements.md, *Hues
+        views its channels: through CMY circles and squares twice as much is found by them (docs/decisions.md, *Hues
         in unmixed views*). ``channels``: see `channel_space`.
 
     Raises

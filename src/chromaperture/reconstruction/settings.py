@@ -20,7 +20,7 @@ class ReconstructionConfig:
     max_distance_mm : float
         Farther points are removed.
     max_relative_sigma : float
-        Pixels whose standard deviation exceeds this fraction of their distance are removed. docs/measurements.md:
+        Pixels whose standard deviation exceeds this fraction of their distance are removed. docs/decisions.md:
         narrower limits do not help.
     edge_jump : float
         Relative step of distance within ``edge_px`` from which a pixel is a flying one.
@@ -34,7 +34,7 @@ class ReconstructionConfig:
         Points farther from the model are outliers; at 2 m, proportional to the distance beyond.
     depth_weight : float
         Weight of a pixel's distance relative to its brightness in tracking; far below 1 because errors of
-        neighbours are correlated. docs/measurements.md compares weights.
+        neighbours are correlated. docs/decisions.md compares weights.
     min_overlap : float
         Fraction of the keyframe's points that must be visible at their distance, else the frame is lost.
     min_correlation : float
