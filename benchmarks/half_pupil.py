@@ -46,7 +46,7 @@ RANGE_PX = (-8.0, 8.0)  # half disparities that cameras which are not calibrated
 # The set does not say where its kernels were measured. It was beyond the focus: with the distances exchanged near and
 # far change places in both scenes. Layers are the same for any two distances.
 FOCUS_MM, MEASURED_MM = 1.0, 1.5
-REACH = 2.0  # of the range that is searched with kernels, over the half disparity that they have; docs/measurements.md
+REACH = 2.0  # of the range that is searched with kernels, over the half disparity that they have; docs/decisions.md
 ON_LINE = 255 / 20  # levels of the truth
 
 

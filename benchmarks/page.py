@@ -36,7 +36,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from apps import WEBGPU, chromium, served
 
 NAME = "still_life_cy_halves"
-LEAST_AGREEING = 0.99  # of the pixels within 0.1 % of the readable stages; docs/gpu.md has 0.998
+LEAST_AGREEING = 0.99  # of the pixels within 0.1 % of the readable stages; docs/gpu.md has 0.997 and more
 _TICK_S = 1 / os.sysconf("SC_CLK_TCK")
 
 PREPARE = """async ({ width, height, png }) => {

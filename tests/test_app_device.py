@@ -122,7 +122,7 @@ def assert_measured_as_by_python(depth, sigma, image, camera):
     assert (known == found).mean() > 0.999
     both = known & found
     error = np.abs(depth - expected.depth_mm)[both] / expected.depth_mm[both]
-    # As docs/gpu.md: 99.85 % within 0.1 % there; layers that are as good may swap.
+    # docs/gpu.md has 0.997 and more within 0.1 %; layers that are as good may swap.
     assert (error < 1e-3).mean() > 0.99
     assert np.quantile(np.abs(sigma - expected.sigma_mm)[both] / expected.sigma_mm[both], 0.98) < 0.02
     return expected

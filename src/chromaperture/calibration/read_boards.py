@@ -29,7 +29,7 @@ _GRID_COLUMNS = 120  # at most, so that memory does not grow with the sensor
 _MIN_SIGMA_PX = 0.05  # bias of shift matching: up to 0.06 px on mirrored halves (tests/test_rendered_boards.py)
 # Smoothing of boards before quality "real-time" reads them, px: through two filters, and through three whose channels
 # are taken where the lens moves them. Prints are finer than what is photographed later, and fine texture is displaced
-# more: film leaks, lenses aberrate (docs/measurements.md, *Boards as coarse as scenes*, *Channels where the lens moves
+# more: film leaks, lenses aberrate (docs/decisions.md, *Boards as coarse as scenes*, *Channels where the lens moves
 # them*; there, why not through three filters otherwise).
 _COARSER_PX, _COARSER_MOVED_PX = 0.8, 1.5
 _SEARCH = (1.5, 1.0)  # the nominal range is searched times the first, px the second wider: the lens is known to 20 %

@@ -1,7 +1,7 @@
 """Single pixels of one channel that no lens can have imaged: hot, stuck or dead ones, and hits of cosmic rays.
 
 The likelihood of quality "accurate" takes all that is no noise for detail, and detail at one pixel of one channel for
-detail in focus: 240 hot pixels among 240 000 took .13 of the pixels within 5 % (docs/measurements.md).
+detail in focus: 240 hot pixels among 240 000 took .13 of the pixels within 5 % (docs/decisions.md).
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ _LEAST_RANGE = 0.3  # of levels, as a fraction of the brightest
 _BINS, _LOW_QUANTILE = 12, 0.1  # of level; of variance in each, where the fit starts
 _ROUNDS = 10
 # Of `noise_ratio`. Of 240 photographs with the calibration's own noise, of simulated rooms through eight cameras and
-# of bench50, none has a ratio above 1.48 pixel by pixel, 3 above 1.5 in means of 2 x 2 px (docs/measurements.md).
+# of bench50, none has a ratio above 1.48 pixel by pixel, 3 above 1.5 in means of 2 x 2 px (docs/decisions.md).
 _RATIO_SAMPLES = 16  # along each side of a block; chosen by hand
 _RATIO_PERCENTILE = 5  # of the blocks' least eigenvalues: other blocks hold detail; chosen by hand
 _OF_EXPECTED_NOISE = 0.61  # that percentile where there is white noise of the expected variance alone; simulated

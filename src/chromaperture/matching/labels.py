@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 # Px by which the views farthest apart move between two labels at most. Correlations have a cusp where views agree,
-# which labels farther apart miss: docs/measurements.md, *Cells*.
+# which labels farther apart miss: docs/decisions.md, *Cells*.
 MOST_APART_PX = 0.5
 
 

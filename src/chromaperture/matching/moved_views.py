@@ -2,7 +2,7 @@
 
 Views move along their directions in the pupil with the disparity. A lens adds to that: lateral colour moves a channel
 over the frame, and vignetting and axial colour move its centroid. Pairs of three channels then agree at disparities of
-their own, up to 0.4 px apart through a double Gauss (docs/measurements.md, *Channels where the lens moves them*).
+their own, up to 0.4 px apart through a double Gauss (docs/decisions.md, *Channels where the lens moves them*).
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ import numpy as np
 from chromaperture.system.threads import parallel_map
 
 CELL_PX = 4  # side of the squares whose mean and variance the window sums; chosen by hand, for speed
-# Side of the window: 28 px, as wide as a Gaussian of 8 px; one of 4 px ranks alike (docs/measurements.md, *Hues in
+# Side of the window: 28 px, as wide as a Gaussian of 8 px; one of 4 px ranks alike (docs/decisions.md, *Hues in
 # unmixed views*).
 WINDOW_CELLS = 7
 LEAST_VARIANCE = 1e-12  # no division by 0 on even areas: a thousandth of a 10-bit step, squared

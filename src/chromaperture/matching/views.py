@@ -82,7 +82,7 @@ def view_spaces(
     ``unmixing`` (K, 3) float or None: rows of M^-1, Eq. (1). That of the aperture's own film when absent; ``space``
     {"unmixed", "pure", "channels", "both"}: for ``pure`` and ``both``, a design without pure channels has its unmixed
     views only, but for ``both`` and three views its channels: through CMY circles and squares twice as much is found by
-    them (docs/measurements.md, *Hues in unmixed views*). ``channels``: see `channel_space`. Raises InputError:
+    them (docs/decisions.md, *Hues in unmixed views*). ``channels``: see `channel_space`. Raises InputError:
     ``unmixing`` does not fit the aperture, or the aperture has no parallax.
     """
     rows = own_film_unmixing(aperture) if unmixing is None else np.asarray(unmixing, float)

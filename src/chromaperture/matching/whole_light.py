@@ -16,7 +16,7 @@ import numpy as np
 from chromaperture.matching.moved_views import PixelMaps, moved
 
 # The mean light is 2^11 to 2^12 units: a unit of a well exposed picture is 1e-4 of the white level, and rounding adds
-# 3e-5 of noise. docs/measurements.md compares.
+# 3e-5 of noise. docs/decisions.md compares.
 LIGHT_BITS = 11
 LEAST_EXPONENT = -60  # of the mean light: a black picture
 # Of a strip of rows that stays in the cache between two passes. Halving and smoothing two views of 1280 px on one

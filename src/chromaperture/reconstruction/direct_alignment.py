@@ -263,7 +263,7 @@ def normal_equations(points, level, motion, brightness, grey_sigma, depth_weight
         along = points[n, 6] * (gx * (x - motion[0, 3]) + gy * (y - motion[1, 3]) + gz * (z - motion[2, 3]))
         noise = np.sqrt(grey_sigma * grey_sigma + along * along)
         ratio = abs(r) / noise
-        # An occluder of unknown distance is a one-sided outlier: its weight must fall to 0 (docs/measurements.md).
+        # An occluder of unknown distance is a one-sided outlier: its weight must fall to 0 (docs/decisions.md).
         weight = (1.0 - (ratio / _TUKEY) ** 2) ** 2 / (noise * noise) if ratio < _TUKEY else 0.0
         _add(total, j, weight, r, _UNKNOWNS)
         if not abs(apart) <= outlier_mm:  # unknown, or another surface

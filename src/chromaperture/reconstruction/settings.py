@@ -15,7 +15,7 @@ class ReconstructionConfig:
     # Upper limit of the truncation in front of and behind the surface, which is three standard deviations.
     truncation_voxels: float = 8.0
     max_distance_mm: float = 6000.0  # farther points are removed
-    # Pixels whose standard deviation exceeds this fraction of their distance are removed. docs/measurements.md:
+    # Pixels whose standard deviation exceeds this fraction of their distance are removed. docs/decisions.md:
     # narrower limits do not help.
     max_relative_sigma: float = 0.08
     edge_jump: float = 0.04  # relative step of distance within ``edge_px`` from which a pixel is a flying one
@@ -24,7 +24,7 @@ class ReconstructionConfig:
     tracking_scale: int = 2  # tracking works on pictures reduced by this factor
     outlier_mm: float = 150.0  # points farther from the model are outliers; at 2 m, proportional to the distance beyond
     # Weight of a pixel's distance relative to its brightness in tracking; far below 1 because errors of neighbours are
-    # correlated. docs/measurements.md compares weights.
+    # correlated. docs/decisions.md compares weights.
     depth_weight: float = 0.03
     # Fraction of the keyframe's points that must be visible at their distance, else the frame is lost.
     min_overlap: float = 0.3

@@ -19,10 +19,10 @@ from chromaperture.matching.readable.paths import LEAST_UNEXPLAINED, LINES, pena
 from chromaperture.settings.stages import SurfaceConfig
 
 AT_ONCE = 8  # neighbours that an invocation of a filter has: what they read overlaps
-LANES = 16  # invocations of a path; 8, 16, 32: 10, 8, 10 ms for 143 layers of 720x480 on an H200 (docs/gpu.md)
+LANES = 16  # invocations of a path; 8, 16, 32: 10, 8, 10 ms for 143 layers of 720x480 on an H200 (docs/decisions.md)
 LANES_IN_SOFTWARE = 4  # the fewer, the less they tell each other; 2 and 1 have too many layers each for its registers
 # Steps of a path that are read before they are needed, and the most layers that an invocation reads ahead; by hand.
-# On an H200 a step took 5 us without, and 1.3 us with it and 16 lanes (docs/gpu.md).
+# On an H200 a step took 5 us without, and 1.3 us with it and 16 lanes (docs/decisions.md).
 AHEAD, LAYERS_AHEAD = 4, 72
 MOST_LAYERS = 512  # of a path: 32 in the registers of each of 16 invocations
 

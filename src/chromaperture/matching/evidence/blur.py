@@ -47,7 +47,7 @@ SHARP_PX = 4.0
 IN_FOCUS_PX = 0.0  # half disparity at which views are hardly blurred: they show whose detail it is
 _ROWS = 4  # whose correlations are explained at once: 5 MB at 720 columns stay in the cache; chosen by hand
 # Beyond the reach of both blurs, for the tails of damped filters. 10 px make tiles of 180 samples in place of 160
-# (720 px wide), and change no surface: docs/performance.md.
+# (720 px wide), and change no surface.
 TAILS_PX = 8
 
 

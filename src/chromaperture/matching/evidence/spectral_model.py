@@ -7,7 +7,7 @@ A window multiplies the picture, so every frequency of its spectrum holds power 
 T is the taper's spectrum. Without it a steep texture's power leaks into frequencies that the blur has emptied, and the
 likelihood takes it for less blur. Real pictures leak more than Gaussian textures: edges, slants and borders of objects.
 The taper's autocorrelation is therefore cut off, at `_LAG_TAPERS`, which adds side lobes of about 1e-3 of the low
-frequencies' power as a floor; with the exact taper, even areas and edges mislead more (docs/measurements.md).
+frequencies' power as a floor; with the exact taper, even areas and edges mislead more (docs/decisions.md).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from chromaperture.optics.lens_blur import LensBlur
 from chromaperture.settings.stages import SpectralConfig
 from chromaperture.system.threads import parallel_map
 
-# Cycles a px; below lies shading, above, of an open design, noise: .35 was no better (docs/measurements.md).
+# Cycles a px; below lies shading, above, of an open design, noise: .35 was no better (docs/decisions.md).
 BAND = (0.04, 0.25)
 _LEAKAGE_REACH = 0.08  # cycles a px; four sigmas of |T|^2 of the least taper
 _SOFTEST = 0.01  # cycles a px, at which the texture's spectrum levels off: shading is subtracted

@@ -28,7 +28,7 @@ from chromaperture.matching.readable.planes import PlaneCosts
 from chromaperture.settings.stages import PlanesConfig
 from chromaperture.system.threads import each_band
 
-# docs/measurements.md, "Depth edges in the photograph", has .4 and 1 for the one, 4 and 9 for the other.
+# docs/decisions.md, *Depth edges in the photograph*, has .4 and 1 for the one, 4 and 9 for the other.
 SMOOTH_BLOCKS = 0.7  # sigma of what edges are smoothed by before regions are cut
 MOST_LOG_ODDS = 6.0  # of no edge that a border costs
 OF_LINK = 1e-3  # of a link's own log odds: tells apart what is alike otherwise, and changes nothing else

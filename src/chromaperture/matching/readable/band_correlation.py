@@ -22,7 +22,7 @@ import numpy as np
 
 # Added to the product of both powers, (white level)^4, so that even areas have no correlation. It must be far below
 # that of weak texture: filters of a wide blur leave less of it, and a floor as large would draw it to the layers in
-# focus. docs/measurements.md, "Weak texture of all pairs", compares four.
+# focus. docs/decisions.md, *Weak texture of all pairs*, compares four.
 LEAST_POWER = np.float32(1e-14)
 LEAST_SEEN = np.float32(1e-12)  # against division by 0, far below noise: a millionth of the white level
 _HALVING_SIGMA = 1.0  # samples, of the window of `cv2.pyrDown`

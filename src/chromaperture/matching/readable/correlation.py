@@ -23,10 +23,10 @@ Taps = Callable[[float], tuple[float, float, float, float]]
 MIN_VARIANCE_FRACTION = 0.05  # of a variance that debiasing always leaves: an estimated noise may be too high
 RELATIVE_EPSILON = 1e-6  # of a view's overall variance: even areas score 0, not noise / noise
 # As much of a cell's: that of a view with bright spots outweighs a dark wall's texture and noise, and walls are lost
-# whole (docs/measurements.md, *Weak texture through three filters*).
+# whole (docs/decisions.md, *Weak texture through three filters*).
 CELL_EPSILON = 1e-8
 MIN_WEIGHT = 1e-4  # keeps the sum of weights positive where a whole line is unusable
-CELL_TAPS = (1, 2, 3, 2, 1)  # of a cell's window along x and along y; docs/measurements.md compares windows
+CELL_TAPS = (1, 2, 3, 2, 1)  # of a cell's window along x and along y; docs/decisions.md compares windows
 LEAST_FLOOR = 1e-12  # squared units, added to the variance of a cell: an even picture scores 0, too
 LEAST_PRODUCT = np.float32(1e-37)  # of two variances: no division by 0
 SCORE_PARTS = 32000  # of a cell's score: 16 bits with a sign

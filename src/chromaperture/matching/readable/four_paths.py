@@ -130,7 +130,7 @@ def scores_at_labels(
 
     Beyond both ends scores continue on the parabola through the three outermost layers. Where the outermost was
     repeated instead, flat walls within a px of the range's end were drawn by 0.04 to 0.11 px, so by less than 0.01 px
-    (docs/measurements.md, *Ends of the range*).
+    (docs/decisions.md, *Ends of the range*).
 
     Whatever cuts off the peaks between the layers draws flat surfaces to them: cubics through four layers by 0.013 px,
     these by no more than scores of the labels themselves, 0.008 px (`benchmarks/locking.py`).

@@ -12,8 +12,8 @@ from chromaperture.matching.error_bar import local_range, sigma_of_range
 from chromaperture.matching.labels import LabelMap
 from chromaperture.matching.winner import PathWinner, Surface
 
-# Of the error bar, fitted to twelve simulated captures through each of four designs (docs/measurements.md, *Constants
-# of the error bar, anew*). A place whose neighbourhood holds the information I scatters by SCATTER / sqrt(I) labels:
+# Of the error bar, fitted to twelve simulated captures through each of four designs (docs/decisions.md, *Constants
+# of the error bar*). A place whose neighbourhood holds the information I scatters by SCATTER / sqrt(I) labels:
 # cells share pixels. Where I is small the place is also biased, by BIAS / I: noise leaves only the coarse part of weak
 # texture, which blur displaces less than the fine part.
 SCATTER, BIAS = 1.1, 4.8
@@ -25,15 +25,15 @@ SEEN_REACH = 1  # cells or px; farther from usable pixels a surface is only carr
 # either side. The share was fitted with SCATTER and BIAS.
 EDGE_SHARE, EDGE_REACH_PX = 0.2, 7
 # Layers from the middle of five to the vertex of their parabola. Flatter parabolas are bent so far that it lies there,
-# their slope is kept: docs/measurements.md, *Weak texture through three filters*.
+# their slope is kept: docs/decisions.md, *Weak texture through three filters*.
 FARTHEST_OF_FIVE = 4.0
 LEAST_INFORMATION = 1e-4  # where correlations have no peak the place is that of the layer
 # By the best correlation, of two and of three views; keep the information of noiseless pictures finite. The second:
-# docs/measurements.md, *Weak texture through three filters*.
+# docs/decisions.md, *Weak texture through three filters*.
 LEAST_UNEXPLAINED, LEAST_UNEXPLAINED_OF_THREE = 3e-3, 1e-3
 # Windows beside a nearer thing hold its edge, whose contrast outweighs the texture behind it. Cells that have a label
 # nearer by more than one within so many cells along x and y know so much of what their scores say:
-# docs/measurements.md, *Cells beside nearer things*.
+# docs/decisions.md, *Cells beside nearer things*.
 NEARER_REACH, BESIDE_NEARER = 2, 0.05
 
 
@@ -47,7 +47,7 @@ def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: in
     Of two views the parabola goes through three layers, and the information counts to the power of 1.25: noise draws
     the places of weak texture to the layer and leaves only its coarse part, so that clear texture knows more than its
     information tells. Of three views it goes through five, by least squares, and rho is that at the layer: flat boards
-    are drawn less to the layers so (docs/measurements.md, *Clear texture*, *Channels where the lens moves them*). Where
+    are drawn less to the layers so (docs/decisions.md, *Clear texture*, *Channels where the lens moves them*). Where
     the range ends one layer away, the fifth is that of the parabola through the three others. Information times offset
     is a multiple of the parabola's slope, however flat it is: noise adds to slopes what cancels in their sum, and draws
     the place of weak texture less to the layer so than if places far away were cut off.
