@@ -31,7 +31,7 @@ _STILL_PX = 0.25  # median displacement below which nothing is displaced; window
 _MOVED_PX = 0.5  # median displacement from which its direction is judged absolutely
 _WIDE = 0.3  # length of a film's displacement, pupil radii, that exceeds these errors: all but the open designs
 # Limits, from bench50 by four cameras: right film, 103 scenes, boards, tilts and frames; wrong film, 42 pairs of
-# another coded scene with a camera (the table is in docs/colour.md).
+# another coded scene with a camera (docs/colour.md, *Another film*).
 _CAST = 0.22  # right film: at most 0.08; the halves against another film: at least 0.38
 _ADVANTAGE, _GREAT_ADVANTAGE = 2.0, 4.0  # right: at most 1.44; photographs of three filters: at least 2.58
 _EXPLAINED = 0.45  # right: at least 0.66; the open design against three filters: at most 0.36
