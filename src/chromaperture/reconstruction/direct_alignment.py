@@ -23,12 +23,12 @@ _AGREES, _DIFFERS = 1, 2  # distance of a point: within the outlier limit, or no
 _MIN_POINTS = 50  # of a scale: fewer do not determine eight unknowns robustly
 _LEVELS, _MIN_SIDE_PX = 4, 40  # scales of the pyramid, each half as large, and the least side of the coarsest
 # Points of a scale: so many pixels of the largest gradients, evenly thinned. Twice as many points take twice the time
-# and err as much (docs/reconstruction.md); fewer candidates lie on few strong edges, which may be an occluder's.
+# and err as much (measured); fewer candidates lie on few strong edges, which may be an occluder's.
 _CANDIDATES, _MAX_POINTS = 16_000, 4_000
 _ROUNDS, _CONVERGED_PX = 12, 0.05  # Gauss-Newton steps of a scale; a smaller step ends them
 _START_SIGMA, _MIN_SIGMA = 20.0, 0.5  # grey levels: standard deviation before the first round, and of rounding alone
 # Error of a keyframe's distances, which are the model's, over that of its own view: the mean of some four views. With
-# 1 fast motion errs less and slow motion more, with 0 the reverse (docs/reconstruction.md).
+# 1 fast motion errs less and slow motion more, with 0 the reverse (measured).
 _MODEL_SHARE = 0.5
 _MAX_SLOPE = 0.02  # change of distance per px, of the distance, above which its gradient is that of an edge
 _DAMPING = 1e-4  # added to the diagonal of the normal equations, scaled to 1
@@ -275,7 +275,7 @@ def normal_equations(points, level, motion, brightness, grey_sigma, depth_weight
         along = points[n, 6] * (gx * (x - motion[0, 3]) + gy * (y - motion[1, 3]) + gz * (z - motion[2, 3]))
         noise = np.sqrt(grey_sigma * grey_sigma + along * along)
         ratio = abs(r) / noise
-        # An occluder of unknown distance is a one-sided outlier: its weight must fall to 0 (docs/measurements.md).
+        # An occluder of unknown distance is a one-sided outlier: its weight must fall to 0.
         weight = (1.0 - (ratio / _TUKEY) ** 2) ** 2 / (noise * noise) if ratio < _TUKEY else 0.0
         _add(total, j, weight, r, _UNKNOWNS)
         if not abs(apart) <= outlier_mm:  # unknown, or another surface
