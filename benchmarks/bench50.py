@@ -42,9 +42,7 @@ def score(depth: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> dict[str, 
         **{f"within_{p}_percent": float((error < p / 100).mean()) for p in (1, 2, 5, 10)},
         "within_1_sigma": float((z < 1).mean()),
         "within_2_sigma": float((z < 2).mean()),
-        "most_trusted_half_within_2_percent": float(
-            ((np.abs(depth - truth) / truth)[answered][trusted] < 0.02).mean()
-        ),
+        "most_trusted_half_within_2_percent": float(((np.abs(depth - truth) / truth)[answered][trusted] < 0.02).mean()),
     }
 
 

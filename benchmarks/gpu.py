@@ -135,7 +135,8 @@ def timed(camera: CodedApertureCamera, image: np.ndarray, quality: str, device: 
             times = times_ms(once, 2 if info.is_software else ROUNDS[quality])
             peers = times_ms(functools.partial(peer, image), 2)
             for clock, taken, of_peer in zip(("wall", "cpu"), times, peers, strict=True):
-                found |= {f"{kind}_{clock}_ms": round(taken, 2), f"{kind}_{clock}_over_numba": round(taken / of_peer, 2)}
+                found[f"{kind}_{clock}_ms"] = round(taken, 2)
+                found[f"{kind}_{clock}_over_numba"] = round(taken / of_peer, 2)
     inputs = {"image": image} if quality != "accurate" else {}
     if chain.device.timestamps:
         rounds = 1 if info.is_software else STAGE_ROUNDS

@@ -1,13 +1,8 @@
-"""Matching of real photographs through halves of a pupil against measured defocus.
+"""Real photographs through halves of a pupil against measured defocus: python benchmarks/half_pupil.py --data FOLDER
 
-    python benchmarks/half_pupil.py --data FOLDER [--method paper real-time accurate kernels] [--json]
-
-FOLDER holds NNN_left.png, NNN_right.png, NNN_gt_defocus.png (0 = unknown, the middle two thirds of the frame),
-calibration/white_sheet_*.png and blur_kernels_*.npy. Red is the right half, blue the left one, green their mean, at half
-the resolution: disparity grows with distance, as for film. ``kernels`` is `accurate` with the blur that the measured
-kernels tell. Printed are Spearman's correlations at several coverages (shortest error bars first); ``ceiling``, that of
-the truth with itself under even noise of a level; and ``on_line``, the share of the pixels that one line through all
-scenes, from measured defocus to half disparity, holds within a twentieth of the truth's range.
+FOLDER holds NNN_left.png, NNN_right.png, NNN_gt_defocus.png and calibration/; methods are the qualities of a camera
+that is not calibrated, and ``kernels``, `accurate` with the blur that the measured kernels tell. Printed are Spearman's
+correlations over the shortest error bars, their ``ceiling`` and ``on_line``, the pixels of one line for all scenes.
 """
 
 from __future__ import annotations
