@@ -181,35 +181,38 @@ def variation() -> dict:
     return {name: over(t, "smooth", ("cv2_tvl1",)) for name, t in each_thread_count(work, rounds=3).items()}
 
 
+def colour_work(design: str, height: int, width: int) -> dict[str, Callable[[], object]]:
+    """The matcher, restoration, refocusing and one blur of the whole picture, as functions without arguments."""
+    aperture = design_named(design)
+    views, guide, truth = scene(directions_of(aperture), shape=(height, width))
+    image = np.ascontiguousarray(np.dstack([views[0], guide, views[-1]]), np.float32)
+    shifts = channel_directions(aperture, {})
+    # With steps, so that there are strips to fill, and a blur as wide as the photographs of the demo have.
+    radius = (2.4 * truth).astype(np.float32)
+    color = cv2.cvtColor(guide, cv2.COLOR_GRAY2RGB)
+    lens = LensShift(LensBlur(THIN, sample_pupil(aperture), width, height), near_mm=900.0, far_mm=6000.0)
+    focus = Focus(float(radius.min()), 1.0)
+    spot = bokeh_kernel(bokeh_mask("disc"), float(np.ptp(radius)))
+    return {
+        "matcher": matching(aperture, views, guide),
+        "align": lambda: align_channels(image, truth, shifts),
+        "align_by_lens": lambda: align_channels(image, truth, shifts, displacement_px=lens(radius)),
+        "refocus": lambda: refocus(color, radius, focus),
+        "plain_blur": lambda: cv2.filter2D(color, -1, spot),
+    }
+
+
 def colour() -> dict:
     """Restoration and refocusing beside the matcher, and refocusing beside one blur by the largest of its spots."""
     results: dict = {}
     for case, (design, (height, width)) in RESTORED.items():
-        aperture = design_named(design)
-        views, guide, truth = scene(directions_of(aperture), shape=(height, width))
-        image = np.ascontiguousarray(np.dstack([views[0], guide, views[-1]]), np.float32)
-        shifts = channel_directions(aperture, {})
-        # With steps, so that there are strips to fill, and a blur as wide as the photographs of the demo have.
-        radius = (2.4 * truth).astype(np.float32)
-        color = cv2.cvtColor(guide, cv2.COLOR_GRAY2RGB)
-        lens = LensShift(LensBlur(THIN, sample_pupil(aperture), width, height), near_mm=900.0, far_mm=6000.0)
-        focus = Focus(float(radius.min()), 1.0)
-        spot = bokeh_kernel(bokeh_mask("disc"), float(np.ptp(radius)))
-        work: dict[str, Callable[[], object]] = {
-            "matcher": matching(aperture, views, guide),
-            "align": lambda a=(image, truth, shifts): align_channels(*a),
-            "align_by_lens": lambda a=(image, truth, shifts), radius=radius, lens=lens: align_channels(
-                *a, displacement_px=lens(radius)
-            ),
-            "refocus": lambda a=(color, radius, focus): refocus(*a),
-            "plain_blur": lambda color=color, spot=spot: cv2.filter2D(color, -1, spot),
-        }
+        times = each_thread_count(colour_work(design, height, width), rounds=4)
         results[case] = {
             name: {
                 "align": over(t, "align", ("matcher",)), "align_by_lens": over(t, "align_by_lens", ("matcher",)),
                 "refocus": over(t, "refocus", ("matcher", "plain_blur")),
             }
-            for name, t in each_thread_count(work, rounds=4).items()
+            for name, t in times.items()
         }  # fmt: skip
     return results
 
@@ -266,9 +269,9 @@ PARTS: dict[str, Callable[[], dict]] = {
 }  # fmt: skip
 
 
-def printed(name: str, value: object, indent: str = "") -> None:
+def printed(name: str, value: dict, indent: str = "") -> None:
     """Print nested figures, one innermost dict a line."""
-    if isinstance(value, dict) and any(isinstance(part, dict) for part in value.values()):
+    if any(isinstance(part, dict) for part in value.values()):
         print(f"{indent}{name}")
         for key, part in value.items():
             printed(key, part, indent + "  ")
