@@ -33,7 +33,7 @@ _HALVES_APART = 2.0  # px by which two halves move apart a px of half disparity
 # Px by which views move apart a px of disparity. Three views below the first have their layers farther apart, by the
 # second over what they move: 0.8 px instead of 0.5 for CMY circles, which move 0.75 px (docs/measurements.md, *Layers
 # of three circles*). CMY squares (1 px) keep theirs: otherwise they would take .97 and 1.10 of the time of OpenCV's
-# SGBM 3WAY on one and two threads, instead of .74 and .88 (benchmarks/matcher.py).
+# SGBM 3WAY on one and two threads, instead of .74 and .88 (benchmarks/speed.py matcher).
 _CLOSE_VIEWS, _LAYERS_APART = 0.9, 1.2
 Quality = Literal["paper", "real-time", "accurate"]
 QUALITIES: tuple[Quality, ...] = get_args(Quality)
@@ -121,8 +121,7 @@ class RealTimeConfig(MatcherConfig):
 
     Blur is several px wide and windows are wider, so the volume need not exist at every pixel; a guided interpolation
     brings the surface back to full resolution. ``presmooth_sigma_px`` and ``smoothing_sigma_px``
-    count px of the halved picture; disparities do not. Chosen on simulated captures; ``benchmarks/ablation.py``
-    measures each. Views are read by B-splines: with the smoothed cubic of other methods flat boards lock half as much
+    count px of the halved picture; disparities do not. Chosen on simulated captures. Views are read by B-splines: with the smoothed cubic of other methods flat boards lock half as much
     to the layers, but no more is found (docs/measurements.md, *Flat boards and the layers*). ``presmooth_sigma_px`` is
     that of views that lie 2 px a px of disparity apart, as two halves do; see `for_views`.
 

@@ -1,7 +1,6 @@
 """Every default of the matcher's stages, one frozen dataclass a stage; `config.py` composes the methods of them.
 
-bench50 is the set of ray-traced captures of ``benchmarks/bench50.py`` and ``benchmarks/ablation.py``; the second
-measures what each setting gains.
+bench50 is the set of ray-traced captures of ``benchmarks/bench50.py``.
 """
 
 from __future__ import annotations
@@ -177,7 +176,7 @@ class FourPathsConfig:
     ----------
     jump_penalty : float
         Nats that any change of the layer costs between two neighbours. To let small changes be cheaper was worse
-        (``benchmarks/ablation.py`` chose it on simulated captures): where texture is weak, paths creep away.
+        on simulated captures: where texture is weak, paths creep away.
     edge_range : float
         Difference of the guide, in units of ``guide_range``, at which the penalties have fallen to 1/e.
     edge_floor : float
@@ -235,7 +234,7 @@ class CrossFilterConfig:
     ----------
     bands_px : tuple of (float, float)
         Bands that are correlated separately: sigmas of the two Gaussians whose difference passes one, px. A third,
-        coarser octave lowers the fraction within 2 % (``benchmarks/ablation.py``, "three octaves"): its windows hold
+        coarser octave lowers the fraction within 2 % of simulated captures: its windows hold
         too few periods, and slow changes of colour look like displacement.
     band_weights : tuple of float
     window_sigma_px : float; of the correlation's Gaussian. 8 px instead of 4: docs/measurements.md, "window of 8 px"
@@ -293,7 +292,7 @@ class SurfaceConfig:
     """The surface that explains the whole volume (quality "accurate"). Log-likelihoods are in nats a pixel.
 
     Defaults are those of shifted views; `AccurateConfig.for_blur` has those of a known blur. Chosen on simulated
-    captures and bench50's still_life; ``benchmarks/ablation.py --quality accurate`` measures each.
+    captures and bench50's still_life.
 
     Attributes
     ----------
