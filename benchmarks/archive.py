@@ -1,10 +1,9 @@
-"""Photographs a second on a Dask cluster of this machine by the number of workers, and what the scheduler limits.
+"""Photographs a second on a Dask cluster of this machine, by workers, against an even division of the work.
 
     python benchmarks/archive.py                     # copies of the sample, real-time, one thread a worker
     python benchmarks/archive.py --sleep-s 0.5       # a stand-in that only waits, so that the cores limit nothing
 
-Both send the same message: the calibration once a worker, a name and an outcome for each photograph. Prints a Markdown
-table; the last column is the time a photograph costs beyond an even division of the work among the workers.
+The last column of the table is what a photograph costs beyond the even division.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
-"""Score depth of real photographs by a dual-pixel sensor: python benchmarks/dual_pixel.py --data FOLDER [--quality Q].
+"""Depth of real photographs by a dual-pixel sensor against known depth: python benchmarks/dual_pixel.py --data FOLDER
 
-FOLDER holds NAME_left.png and NAME_right.png (what the two halves of the pupil saw, 8-bit RGB), NAME_depth_mm.png
-(16 bit, 0 unknown), a flat board at two distances, flat_DDDD_f4_left.png and so on, and the lens's prescription. Red
-and blue are the halves' green, green is their mean: a cyan/yellow pupil whose optics and noise are real. The camera is
-calibrated by the two boards alone (``boards``), or by the prescription, with the sensor's crosstalk and the focus from
-the boards (``prescription``, quality accurate), with the crosstalk alone (``uncorrected``), or by `calibrate` on a
-session that is ray-traced through the prescription with that crosstalk and focus (``session``). Shares are of ALL
-pixels of known truth. ``chromaperture evaluate dual-pixel`` makes tables and pictures of the same.
+FOLDER holds NAME_left.png and NAME_right.png (8-bit RGB), NAME_depth_mm.png (0 unknown), a board at two distances
+(flat_DDDD_f4_left.png ...) and the lens's prescription. The camera is calibrated by the boards (``boards``), by the
+prescription with the sensor's crosstalk and the focus (``prescription``) or with the crosstalk alone (``uncorrected``),
+or by `calibrate` on a session that is traced through it (``session``). Shares are of all pixels of known truth.
 """
 
 from __future__ import annotations

@@ -14,9 +14,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from error_bar_scenes import NEAREST_MM, few_surfaces, photographed, random_scene, texture
-from furnished_rooms import cover_of_card, furnished_room
 from numpy.random import Generator
+from rooms import NEAREST_MM, cover_of_card, few_surfaces, furnished_room, photographed, random_scene, texture
 
 from chromaperture.matching.planes.depth_edges import BLOCK_PX
 from chromaperture.optics.aperture import DESIGNS, made_of
@@ -83,7 +82,7 @@ def cut_out(
 
 
 def scene(seed: int, half_field: tuple[float, float], *, furnished: bool) -> list[Plane]:
-    """Draw the rooms of `error_bar_scenes` or `furnished_rooms`, two in three with things of other outlines in them."""
+    """Draw the rooms of `rooms.py`, two in three with things of other outlines in them."""
     rng = np.random.default_rng(seed + 50000)
     room = furnished_room if furnished else few_surfaces if seed % 2 else random_scene
     planes = room(seed, half_field)
@@ -148,7 +147,7 @@ def main() -> None:
     arguments.add_argument("--cameras", type=int, default=60)
     arguments.add_argument("--scenes", type=int, default=10, help="of every camera")
     arguments.add_argument("--first", type=int, default=0, help="number of the first camera")
-    arguments.add_argument("--rooms", action="store_true", help="of furnished_rooms.py")
+    arguments.add_argument("--rooms", action="store_true", help="furnished ones")
     args = arguments.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
 

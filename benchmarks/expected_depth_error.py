@@ -1,15 +1,13 @@
-"""Standard deviation of the disparity of simulated planes against the Cramer-Rao bound of the camera.
+"""Scatter of matched disparities over the Cramer-Rao bound: python benchmarks/expected_depth_error.py [--design D]
 
-    python benchmarks/expected_depth_error.py [--design cy_halves] [--distances ...] [--seeds 3] [--json]
-
-Planes of 1/f texture are drawn by the layered renderer with shot and read noise; the bound is that of
-``chromaperture apertures`` for as many independent pixels as the accurate matcher's window has, 4 pi sigma^2. "window"
-is that matcher's own best layer at every pixel, without any neighbours' help: the figure to compare with the bound. The
-whole matchers aggregate more than a window and may fall below it.
+Planes of 1/f texture are drawn by the layered renderer with noise; the bound is that of ``chromaperture apertures`` for
+the pixels of a window of `accurate`. "window" is that matcher's best layer without its neighbours' help; whole matchers
+aggregate more and may fall below the bound.
 """
 
+from __future__ import annotations
+
 import argparse
-import json
 
 import numpy as np
 
@@ -91,7 +89,6 @@ def main():
     parser.add_argument("--design", default="cy_halves")
     parser.add_argument("--distances", type=float, nargs="+", default=[1200, 1500, 1800, 2000, 2300, 2800, 3500])
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     design = made_of(DESIGNS[args.design], "real")
     lens = focused_at(load_lens("double_gauss_50"), 2000.0)
@@ -99,7 +96,6 @@ def main():
     blur, sensor = thin_lens(camera, design), SensorModel()
     texture = Texture(patch_px=SIZE, window_px2=4 * np.pi * CrossFilterConfig().window_sigma_px ** 2)
     inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
-    report = []
     for distance in args.distances:
         bound = expected_accuracy(design, camera, [distance], sensor=sensor, texture=texture)
         true, per_px = float(bound.blur_px[0]), float(bound.sigma_px[0]) / reach_of(design)
@@ -114,11 +110,7 @@ def main():
             pairs = zip(parts, middles, strict=True)
             scatter = float(np.mean([MAD_TO_SIGMA * np.nanmedian(np.abs(p - m)) for p, m in pairs]))
             row |= {f"{name}_bias_px": round(float(np.mean(middles)), 4), f"{name}_ratio": round(scatter / per_px, 2)}
-        report.append(row)
-        if not args.json:
-            print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)
-    if args.json:
-        print(json.dumps(report))
+        print("  ".join(f"{key} {value}" for key, value in row.items()), flush=True)
 
 
 if __name__ == "__main__":

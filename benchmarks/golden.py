@@ -1,9 +1,8 @@
-"""Compare known distances with the figures kept: python benchmarks/golden.py --data FOLDER [--keep].
+"""Known distances of real and rendered photographs against the figures kept: python benchmarks/golden.py --data FOLDER
 
-FOLDER holds bench50/cy_halves (boards at ruler distances, measured through the shipped camera file), and
-real/cmu_dual_pixel and real/rf50_dual_pixel (real photographs through halves of a pupil). Exit code 1 when a figure got
-worse by more than four times its scatter over fresh noise; ``--keep`` writes the figures and their scatter to
-golden.json. The shipped captures are compared the same way by tests/test_golden.py. All at quality real-time.
+FOLDER holds bench50/cy_halves, real/cmu_dual_pixel and real/rf50_dual_pixel; quality real-time. Exit code 1 when a
+figure got worse by more than four times its scatter over fresh noise; ``--keep`` writes figures and scatter to
+golden.json. tests/test_golden.py does the same with the samples.
 """
 
 from __future__ import annotations

@@ -1,18 +1,8 @@
-"""Score the matcher on real photographs through the left and the right half of a pupil, against measured defocus.
+"""Real photographs through halves of a pupil against measured defocus: python benchmarks/half_pupil.py --data FOLDER
 
-    python benchmarks/half_pupil.py --data FOLDER [--method paper real-time accurate kernels] [--picture PNG] [--json]
-
-FOLDER holds NNN_left.png, NNN_right.png, NNN_gt_defocus.png (0 = unknown, the middle two thirds of the frame),
-calibration/white_sheet_*.png and blur_kernels_*.npy. Red is the right half, blue the left one, green their mean: optics
-and noise are real, the colours put together, at half the resolution. With this order disparity grows with distance, as
-for film, which `accurate` counts on where a near surface hides a far one.
-
-Methods are the qualities of a camera that is not calibrated, and ``kernels``: `accurate` with the blur that the
-measured kernels tell. Spearman's correlation needs no calibration. Coverage is the fraction of the pixels with truth
-that is scored: those of the shortest error bars. Whole areas of the truth have one value, so that a map that is right
-to a fraction of a level still is not in its order: ``ceiling`` is the correlation of the truth with itself under even
-noise of a level. ``on_line`` is the share of all pixels that one line through all scenes, from measured defocus to half
-disparity, holds within a twentieth of the truth's range.
+FOLDER holds NNN_left.png, NNN_right.png, NNN_gt_defocus.png and calibration/; methods are the qualities of a camera
+that is not calibrated, and ``kernels``, `accurate` with the blur that the measured kernels tell. Printed are Spearman's
+correlations over the shortest error bars, their ``ceiling`` and ``on_line``, the pixels of one line for all scenes.
 """
 
 from __future__ import annotations
@@ -24,14 +14,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import cv2
-import matplotlib.pyplot as plt
 import numpy as np
 import scipy.optimize
 from scipy.stats import spearmanr
 
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
-from chromaperture.color.color_maps import DISTANCE, color_map
 from chromaperture.color.noise import estimate_noise_variance
 from chromaperture.matching.estimate import estimate_disparity
 from chromaperture.model.camera_file import Calibration
@@ -46,7 +34,7 @@ RANGE_PX = (-8.0, 8.0)  # half disparities that cameras which are not calibrated
 # The set does not say where its kernels were measured. It was beyond the focus: with the distances exchanged near and
 # far change places in both scenes. Layers are the same for any two distances.
 FOCUS_MM, MEASURED_MM = 1.0, 1.5
-REACH = 2.0  # of the range that is searched with kernels, over the half disparity that they have; docs/decisions.md
+REACH = 2.0  # of the range that is searched with kernels, over the half disparity that they have
 ON_LINE = 255 / 20  # levels of the truth
 
 
@@ -95,9 +83,8 @@ def kernel_blur(folder: Path, width_px: int, height_px: int) -> KernelBlur:
 
 
 class Found(NamedTuple):
-    """Half disparity of the frame; it and its error bar where there may be truth, px; the truth, levels, 0 unknown."""
+    """Half disparity and its error bar where there may be truth, px; the truth, levels, 0 unknown."""
 
-    frame_px: np.ndarray
     disparity_px: np.ndarray
     sigma_px: np.ndarray
     defocus: np.ndarray
@@ -130,7 +117,7 @@ def measure(scene: str, method: str, data: Path, range_px: tuple[float, float]) 
         disparity, sigma = by_kernels(image, kernel_blur(data, image.shape[1], image.shape[0]))
     else:
         disparity, sigma = by_quality(image, method, range_px)
-    return Found(disparity, disparity[CROP], sigma[CROP], defocus)
+    return Found(disparity[CROP], sigma[CROP], defocus)
 
 
 def ceiling(defocus: np.ndarray) -> float:
@@ -153,36 +140,20 @@ def on_line(scenes: list[Found]) -> float:
     return float(np.mean(np.abs(np.where(known, value, np.inf) - slope * truth - offset) <= abs(slope) * ON_LINE))
 
 
-def draw(maps: dict[tuple[str, str], np.ndarray], scenes: list[str], methods: list[str], path: Path) -> None:
-    """Draw every scene by every method, each in the colours of its own range."""
-    size = (4 * len(methods), 3.2 * len(scenes))
-    figure, axes = plt.subplots(len(scenes), len(methods), figsize=size, layout="constrained", squeeze=False)
-    for row, scene in zip(axes, scenes, strict=True):
-        for axis, method in zip(row, methods, strict=True):
-            low, high = np.nanpercentile(maps[scene, method][CROP], (1, 99))
-            shown = axis.imshow(maps[scene, method], vmin=low, vmax=high, cmap=color_map(DISTANCE))
-            figure.colorbar(shown, ax=axis, label="half disparity, px", shrink=0.8)
-            axis.set_title(f"{scene}: {method}")
-            axis.set_axis_off()
-    figure.savefig(path, dpi=90)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--method", nargs="+", default=["paper", "real-time", "accurate", "kernels"])
     parser.add_argument("--range-px", nargs=2, type=float, default=RANGE_PX, help="of the qualities")
-    parser.add_argument("--picture", type=Path, help="draw all maps of disparity")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
     scenes = sorted(path.name.split("_")[0] for path in args.data.glob("*_gt_defocus.png"))
     if not scenes:
         parser.error(f"{args.data} holds no NNN_gt_defocus.png")
-    rows, means, maps = [], {}, {}
+    rows, means = [], {}
     for method in args.method:
         found = [measure(scene, method, args.data, tuple(args.range_px)) for scene in scenes]
-        maps |= {(scene, method): part.frame_px for scene, part in zip(scenes, found, strict=True)}
-        of_method = [score(*part[1:]) | {"ceiling": ceiling(part.defocus)} for part in found]
+        of_method = [score(*part) | {"ceiling": ceiling(part.defocus)} for part in found]
         for scene, row in zip(scenes, of_method, strict=True):
             rows.append({"scene": scene, "method": method, **row})
             if not args.json:
@@ -191,8 +162,6 @@ def main() -> None:
         means[method] = mean | {"on_line": on_line(found)}
         if not args.json:
             print("mean", method, " ".join(f"{k} {v:.3f}" for k, v in means[method].items()), flush=True)
-    if args.picture:
-        draw(maps, scenes, args.method, args.picture)
     if args.json:
         print(json.dumps({"rows": rows, "means": means}, indent=1))
 

@@ -1,35 +1,28 @@
-"""Photographs of 24 megapixels: seconds, memory and accuracy beside the same scene in 720 x 480 pixels.
+"""Photographs of 24 megapixels beside the same scenes in 720 x 480, and sessions of them.
 
-    python benchmarks/large_pictures.py --out DIR [--quality real-time accurate] [--scales 8 4] [--scenes 0 1 2]
-        [--plot FILE.png]
+    python benchmarks/large_pictures.py scenes --out DIR [--scenes 0 1 2] [--scales auto 1/4]
+    python benchmarks/large_pictures.py calibration SESSION --out DIR
 
-A 50 mm f/2 lens focused at 2 m is simulated, without aberrations, behind a sensor of 6000 x 4000 pixels: six textured
-surfaces at different distances, blurred by up to 69 px (`optics/simulator/layer_renderer.py`). Smaller sensors see the
-same light: means over their larger pixels, then the photon noise of their larger wells. The curve of real-time is
-fitted to flat walls in the pixels in which the camera matches, as `calibrate` does it (720 x 480, and 750 x 500 of the
-large sensor): its bias belongs to windows of so many pixels. That of accurate is the optics' own. Every
-photograph is measured by ``chromaperture depth`` in a process of its own; ``peak_gb`` is that process's largest
-resident memory, ``cpu_s`` its processor time with start-up, ``stages_s`` the wall time of its stages.
-
-Scene 0 is the one of the tables of time and memory. One scene cannot say which size is more accurate: surfaces stand or
-fall as a whole. Others have other textures, places and distances; with several, the mean of the differences between
-large and small is printed with its standard error.
+``scenes``: accuracy against the truth of six textured surfaces at 1169 to 3690 mm behind a simulated 50 mm f/2 lens
+(`layer_renderer.py`); smaller sensors see the same light. ``calibration``: a session, enlarged by cubics. Both
+give peak memory and processor time of the program in a process of its own.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
-import sys
+import shutil
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import tifffile
+from bench50 import score
 from numpy.polynomial import chebyshev
+from timing import used_by_program
 
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
@@ -44,6 +37,7 @@ from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.pinhole import PupilCamera, centered_pinhole
 from chromaperture.optics.simulator.layer_renderer import render_layers
 from chromaperture.optics.simulator.textures import noise
+from chromaperture.system.threads import parallel_map
 
 SMALL, LARGE = (720, 480), (6000, 4000)
 SENSOR_MM, FOCAL_MM, PUPIL_MM, FOCUS_MM = 22.3, 52.0, 51.0, 2000.0  # the bench50 camera's, rounded
@@ -192,54 +186,16 @@ def photograph(folder: Path, light: np.ndarray, size: tuple[int, int], camera: C
     return picture, file
 
 
-CHILD = """
-import json, resource, sys
-from chromaperture.cli.main import main
-try:
-    main()
-except SystemExit as end:
-    if end.code:
-        raise
-use = resource.getrusage(resource.RUSAGE_SELF)
-# Not `ru_maxrss`, which a process inherits from the one that started it.
-peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1]
-print("USED", json.dumps({"peak_gb": int(peak) / 1e6, "cpu_s": use.ru_utime + use.ru_stime}))
-"""
-
-
-def measure(picture: Path, camera: Path, quality: str, scale: str, out: Path, write: str | None = None) -> dict:
+def measure(picture: Path, camera: Path, quality: str, scale: str, out: Path) -> dict:
     """Run ``chromaperture depth`` in a process of its own."""
-    command = [sys.executable, "-c", CHILD, "depth", str(picture), "--camera", str(camera), "--quality", quality]
-    command += ["--scale", scale, "--out", str(out), "-q"] + (["--write", write] if write else [])
-    run = subprocess.run(command, capture_output=True, text=True, check=False, env=os.environ)
-    if run.returncode:
-        raise SystemExit(run.stderr)
-    used = json.loads(run.stdout.split("USED", 1)[1])
-    summary = json.loads((out / f"{picture.stem}.json").read_text()) if write is None or "json" in write else {}
-    return used | {"stages_s": summary.get("seconds"), "scale": summary.get("config", {}).get("scale")}
+    options = "--camera", camera, "--quality", quality, "--scale", scale, "--out", out, "-q"
+    used = used_by_program("depth", picture, *options)
+    summary = json.loads((out / f"{picture.stem}.json").read_text())
+    return used | {"stages_s": summary["seconds"], "scale": summary["config"]["scale"]}
 
 
-def score(depth: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> dict:
-    """Shares of all pixels."""
-    if depth.shape != truth.shape:
-        truth = cv2.resize(truth, depth.shape[::-1], interpolation=cv2.INTER_NEAREST)
-    with np.errstate(invalid="ignore"):
-        off = np.abs(depth - truth)
-        honest = (off <= sigma)[np.isfinite(depth)].mean()
-        shares = {f"within_{p}%": float((off < p / 100 * truth).mean()) for p in (1, 2, 5)}
-    return {"fill": float(np.isfinite(depth).mean())} | shares | {"within_1_sigma": float(honest)}
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--quality", nargs="+", default=["real-time", "accurate"])
-    parser.add_argument("--scales", nargs="+", default=["auto"], help="of the large picture, such as auto 1/4 1/12")
-    parser.add_argument("--sizes", nargs="+", default=["720x480", "6000x4000"])
-    parser.add_argument("--scenes", nargs="+", type=int, default=[0])
-    parser.add_argument("--plot", type=Path)
-    args = parser.parse_args()
-    args.out.mkdir(parents=True, exist_ok=True)
+def scenes(args: argparse.Namespace) -> None:
+    """Measure scenes by all sizes; others than scene 0 have other textures, places and distances."""
     rows = []
     sizes = [tuple(int(part) for part in text.split("x")) for text in args.sizes]
     cameras = [with_curves(calibration(reduced_size(size, working_scale(calibration(size))))) for size in sizes]
@@ -254,19 +210,18 @@ def main() -> None:
                     results = folder / f"{stem}.{quality}"
                     row = {"scene": number, "size": stem, "quality": quality} | measure(*files, quality, scale, results)
                     depth, sigma = (tifffile.imread(results / f"{stem}.{name}.tiff") for name in ("depth", "sigma"))
-                    rows.append(row | score(depth, sigma, truth))
+                    there = cv2.resize(truth, depth.shape[::-1], interpolation=cv2.INTER_NEAREST)
+                    rows.append(row | score(depth, sigma, there))
                     print(json.dumps(rows[-1]), flush=True)
     compare(rows)
     (args.out / "rows.json").write_text(json.dumps(rows, indent=1))
-    if args.plot:
-        plot([row for row in rows if row["scene"] == args.scenes[0]], args.plot)
 
 
 def compare(rows: list[dict]) -> None:
     """Print the mean shares of each size, and of the last less the first with its standard error over scenes."""
     sizes = list(dict.fromkeys(row["size"] for row in rows))
     for quality in dict.fromkeys(row["quality"] for row in rows):
-        for share in ("within_1%", "within_2%", "within_5%"):
+        for share in ("within_1_percent", "within_2_percent", "within_5_percent"):
             of = {size: [r[share] for r in rows if (r["size"], r["quality"]) == (size, quality)] for size in sizes}
             text = ", ".join(f"{size} {np.mean(values):.3f}" for size, values in of.items())
             more = np.subtract(of[sizes[-1]], of[sizes[0]]) if len({len(v) for v in of.values()}) == 1 else np.empty(0)
@@ -275,24 +230,65 @@ def compare(rows: list[dict]) -> None:
             print(f"{quality}, {share}, mean of {len(of[sizes[0]])}: {text}", flush=True)
 
 
-def plot(rows: list[dict], path: Path) -> None:
-    import matplotlib
+def enlarged(session: Path, out: Path, size_px: tuple[int, int]) -> Path:
+    """Write the session with photographs of another size, without more noise; those that are there are kept."""
+    target = out / session.name
+    photographs = [path for folder in (session, session.parent / "white") for path in sorted(folder.rglob("*.png"))]
+    photographs = [path for path in photographs if "scene" not in path.parts and "walk" not in path.parts]
+    old = cv2.imread(str(photographs[0]), cv2.IMREAD_UNCHANGED).shape[1]
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
+    def enlarge(path: Path) -> None:
+        written = out / path.relative_to(session.parent)
+        if written.exists():
+            return
+        written.parent.mkdir(parents=True, exist_ok=True)
+        counts = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(written), cv2.resize(counts, size_px, interpolation=cv2.INTER_CUBIC))
 
-    figure, axes = pyplot.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
-    for quality in dict.fromkeys(row["quality"] for row in rows):
-        of = [row for row in rows if row["quality"] == quality]
-        megapixels = [np.prod([int(n) for n in row["size"].split("x")]) / 1e6 for row in of]
-        units = {"cpu_s": "processor time with start-up, s", "peak_gb": "peak, GB"}
-        for axis, (key, unit) in zip(axes, units.items(), strict=True):
-            axis.plot(megapixels, [row[key] for row in of], "o-", label=quality)
-            axis.set(xlabel="megapixels (working scale: auto)", ylabel=unit)
-    for axis in axes:
-        axis.set(xlim=(0, None), ylim=(0, None))
-    axes[0].legend()
-    figure.savefig(path, dpi=110)
+    parallel_map(enlarge, photographs)
+    for file in session.glob("*.csv"):
+        shutil.copy(file, target)
+    lines = (session / "session.toml").read_text().splitlines()
+    numbers = {"width_px": size_px[0], "height_px": size_px[1]}
+    for i, line in enumerate(lines):
+        name, _, value = line.partition("=")
+        if name.strip() in numbers:
+            lines[i] = f"{name}= {numbers[name.strip()]}"
+        if name.strip() == "pixel_pitch_mm":
+            lines[i] = f"{name}= {float(value.split('#')[0]) * old / size_px[0]:.8f}"
+    (target / "session.toml").write_text("\n".join(lines) + "\n")
+    return target
+
+
+def calibrate(args: argparse.Namespace) -> None:
+    """Calibrate from a session whose photographs are enlarged."""
+    session = enlarged(args.session, args.out, tuple(int(side) for side in args.size.split("x")))
+    began = time.perf_counter()
+    options = ["--out", args.out / "camera.asdf", "--json"] + ["--no-blur"] * args.no_blur
+    used = used_by_program("calibrate", session, *options)
+    boards = len(list((session / "board").glob("*.png")))
+    print(json.dumps({"boards": boards, "minutes": (time.perf_counter() - began) / 60} | used, indent=2))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(required=True)
+    one = commands.add_parser("scenes")
+    one.add_argument("--quality", nargs="+", default=["real-time", "accurate"])
+    one.add_argument("--scales", nargs="+", default=["auto"], help="of the large picture, such as auto 1/4 1/12")
+    one.add_argument("--sizes", nargs="+", default=["720x480", "6000x4000"])
+    one.add_argument("--scenes", nargs="+", type=int, default=[0])
+    one.set_defaults(run=scenes)
+    other = commands.add_parser("calibration")
+    other.add_argument("session", type=Path)
+    other.add_argument("--size", default="6000x4000")
+    other.add_argument("--no-blur", action="store_true")
+    other.set_defaults(run=calibrate)
+    for each in (one, other):
+        each.add_argument("--out", type=Path, required=True)
+    args = parser.parse_args()
+    args.out.mkdir(parents=True, exist_ok=True)
+    args.run(args)
 
 
 if __name__ == "__main__":

@@ -1,17 +1,14 @@
-"""Bias of the disparity of flat surfaces as they move past the layers: python benchmarks/locking.py [--out FILE.png].
+"""Bias of the disparity of flat textures as they move past the layers: python benchmarks/locking.py [--design D]
 
-Textures with the spectrum of natural pictures, 1/f, are displaced exactly, by the Fourier shift theorem, in steps of
-0.05 px, with noise. The median of each picture's disparity is compared with the truth. "accurate" is that of
-shifted views; the matching with a lens's own blur is scored on boards by calibration.py.
+The truth is exact: textures of amplitudes 1/f, with noise, are displaced by the Fourier shift theorem in steps of
+0.05 px. "accurate" is that of shifted views; with a lens's own blur, boards are measured by calibration.py.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import scipy.fft
 
@@ -49,12 +46,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--design", default="cy_halves")
     parser.add_argument("--quality", nargs="+", default=["paper", "real-time", "accurate"])
-    parser.add_argument("--out", type=Path, help="picture of the bias over the disparity")
     args = parser.parse_args()
     aperture = design_named(args.design)
     disparities = np.round(np.arange(-REACH_PX, REACH_PX + STEP_PX / 2, STEP_PX), 3)
     inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
-    figure, axis = plt.subplots(figsize=(8, 3.5), layout="constrained")
     report = {}
     for quality in args.quality:
         config = preset(quality)
@@ -72,12 +67,7 @@ def main() -> None:
             "rms_px": round(float(np.sqrt((mean**2).mean())), 4),
             "worst_of_one_texture_px": round(float(np.abs(bias).max()), 4),
         }
-        axis.plot(disparities, mean, label=quality)
     print(json.dumps(report, indent=1))
-    if args.out:
-        axis.set(xlabel="disparity, px", ylabel="bias, px")
-        axis.legend()
-        figure.savefig(args.out, dpi=110)
 
 
 if __name__ == "__main__":

@@ -1,17 +1,8 @@
-"""Live loop and page for hours, with a camera that misbehaves: python benchmarks/long_run.py [--seconds 1200].
+"""The live loop and its page for hours, with a camera that misbehaves: python benchmarks/long_run.py [--seconds 1200]
 
-A simulated camera of small pictures (the middle of the sample, 240x160 px) stalls, jumps in time, changes its size, is
-unplugged and returns, gives damaged, dark and noisy frames, and fails with errors of the system. Browsers without a
-screen connect, look, press every button, send nonsense, and leave or die without a word. Once a second are noted:
-resident memory, open handles (/proc/self/fd), threads, items in the queues, messages kept by the server, blocks that
-Python has allocated.
-
-The first third is warm-up: compilation, pools of threads, caches. A straight line is fitted to the rest. A curve is
-flat when the line grows by no more than LIMITS in that time, or by no more than three standard errors of its growth:
-what comes and goes with browsers scatters without a trend. The standard error is that of a line through the means of
-20 parts, since samples a second apart are not independent. Exit code 1: something is not flat, the loop ended, or
-frames stopped. Without the extra "viewer" the loop runs without the page; --model tracks and builds the model (Open3D);
---device measures on another device than the CPU; --out FOLDER writes long_run.csv and long_run.png.
+A simulated camera stalls, jumps in time, changes its size, is unplugged and gives damaged frames; browsers come, press
+everything, send nonsense and die. Exit code 1: memory, handles, threads, queues, messages or blocks of Python grow
+after the first third by more than `LIMITS` and three standard errors of a line, the loop ended, or frames stopped.
 """
 
 from __future__ import annotations
@@ -262,7 +253,10 @@ def sample(loop: LiveLoop, page: LivePage | None, seconds: float) -> tuple[float
 
 
 def trend(seconds: np.ndarray, values: np.ndarray) -> tuple[float, float]:
-    """Growth of a straight line over the time, and its standard error, from the means of PARTS parts."""
+    """Growth of a straight line over the time, and its standard error, from the means of PARTS parts.
+
+    Samples a second apart are not independent; those of the parts nearly are.
+    """
     parts = [part for part in np.array_split(np.arange(len(seconds)), PARTS) if len(part)]
     x = np.array([seconds[part].mean() for part in parts])
     y = np.array([values[part].mean() for part in parts])
@@ -378,11 +372,11 @@ def write_curves(folder: Path, rows: np.ndarray) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=1200.0)
-    parser.add_argument("--model", action="store_true")
+    parser.add_argument("--model", action="store_true", help="track and build the model (Open3D)")
     parser.add_argument("--no-page", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--device", default="cpu", help="that measures: cpu, auto, gpu or gpu:NAME")
-    parser.add_argument("--out", type=Path)
+    parser.add_argument("--out", type=Path, help="folder for long_run.csv and long_run.png")
     args = parser.parse_args()
 
     page_shown = not args.no_page and importlib.util.find_spec("viser") is not None

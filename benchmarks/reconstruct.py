@@ -1,9 +1,8 @@
-"""Score tracking and mesh: python benchmarks/reconstruct.py --data FOLDER --camera CAMERA.asdf [--quality Q].
+"""A walk's tracking and mesh against true poses and depth: python benchmarks/reconstruct.py --data FOLDER --camera FILE
 
-FOLDER holds cy_halves/walk/*.png, truth/walk/NNN.depth_0.1mm.png and truth/walk/poses_camera_to_world_mm.txt (origin on
-the sensor plane). Positions are compared after rigid alignment without scale; vertices of the mesh with the true depth
-along the ray of the picture that fits best, relative to the distance. --work W stores the measured frames and does not
-measure them again: use a new folder for another camera or another matcher.
+FOLDER is bench50: cy_halves/walk/*.png, truth/walk/NNN.depth_0.1mm.png and poses_camera_to_world_mm.txt. Positions are
+compared after rigid alignment without scale, vertices of the mesh with the true depth along the ray of the picture that
+fits best. --work FOLDER keeps the measured frames: a new one for another camera or matcher.
 """
 
 from __future__ import annotations
@@ -24,18 +23,12 @@ from chromaperture.reconstruction.build_model import summary
 from chromaperture.reconstruction.fusion import Reconstruction
 
 
-def rigid(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation and shift that map points a (N, 3) to b."""
-    ca, cb = a.mean(axis=0), b.mean(axis=0)
-    u, _, vt = np.linalg.svd((b - cb).T @ (a - ca))
-    turn = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
-    return turn, cb - turn @ ca
-
-
 def trajectory_errors(found: np.ndarray, true: np.ndarray) -> np.ndarray:
     """Distances of positions (N, 3) from the true ones after rigid alignment; (N,) float64, mm."""
-    turn, shift = rigid(found, true)
-    return np.linalg.norm(found @ turn.T + shift - true, axis=1)
+    middle, true_middle = found.mean(axis=0), true.mean(axis=0)
+    u, _, vt = np.linalg.svd((true - true_middle).T @ (found - middle))
+    turn = u @ np.diag([1, 1, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return np.linalg.norm((found - middle) @ turn.T + true_middle - true, axis=1)
 
 
 def off_surface(world: np.ndarray, poses: list[np.ndarray], truths: list[np.ndarray], cal, delta: float) -> np.ndarray:
@@ -100,21 +93,16 @@ def main() -> None:
     # The mesh is in the frame of the first camera, whose pose error is counted in the trajectory.
     world = vertices @ poses[placed[0].index][:3, :3].T + poses[placed[0].index][:3, 3]
     off = off_surface(world, poses, truths, cal, delta)
-    print(
-        json.dumps(
-            {
-                "quality": args.quality,
-                "ate_rms_mm": float(np.sqrt((errors**2).mean())),
-                "ate_max_mm": float(errors.max()),
-                "mesh_median_percent": float(np.nanmedian(off) * 100),
-                "mesh_90_percent": float(np.nanquantile(off, 0.9) * 100),
-                "vertices": len(vertices),
-                "seconds": time.perf_counter() - began,
-                **{k: v for k, v in summary(model).items() if k != "per_frame"},
-            },
-            indent=1,
-        )
-    )
+    figures = {
+        "quality": args.quality,
+        "ate_rms_mm": float(np.sqrt((errors**2).mean())),
+        "ate_max_mm": float(errors.max()),
+        "mesh_median_percent": float(np.nanmedian(off) * 100),
+        "mesh_90_percent": float(np.nanquantile(off, 0.9) * 100),
+        "vertices": len(vertices),
+        "seconds": time.perf_counter() - began,
+    }
+    print(json.dumps(figures | {k: v for k, v in summary(model).items() if k != "per_frame"}, indent=1))
 
 
 if __name__ == "__main__":

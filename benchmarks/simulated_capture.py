@@ -1,7 +1,9 @@
-"""Compare the simulator with captures of the same lens by an independent ray tracer: shift, blur, vignetting.
+"""The simulator against captures of the same lens by an independent ray tracer: shift, blur, vignetting.
 
-python benchmarks/simulated_capture.py --data DATA/bench50 [--out DIR]
+    python benchmarks/simulated_capture.py --data DATA/bench50 [--out DIR]
 """
+
+from __future__ import annotations
 
 import argparse
 import json

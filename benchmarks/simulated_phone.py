@@ -1,36 +1,27 @@
-"""A simulated phone, end to end: what its video costs in depth, and which loss costs how much.
+"""A simulated phone, from light to depth, against known distances: python benchmarks/simulated_phone.py --out FOLDER
 
-    python benchmarks/simulated_phone.py --out FOLDER [--work FOLDER] [--only everything nothing] [--small]
-
-The package's 4 mm lens (``phone_4``) with the film 0.5 mm before its stop, between front lens and cover glass as in the
-paper's prototype. Light is rendered ray by ray at 1280x720; `optics/simulator/video_signal.py` puts noise, tone curve,
-4:2:0 colours and 8 bits on it, and the page's halving. The session is filled by the assistant's own checks, calibrated
-by its job, and planes at other distances are measured with the camera file it made, as ``api/frames`` measures.
-
-Each loss is taken alone and left out alone; what it changes is also told pixel by pixel. Writes ``phone.json`` and
-``phone.png``; light is kept in ``--work``, and with it the results so far, so that a second run goes on. It takes
-half an hour of processor time; ``--small`` two minutes.
+The 4 mm lens, film 0.5 mm before its stop, light ray by ray, then noise, the curve of BT.709, 4:2:0 and 8 bits. The
+session passes the assistant's checks and its job; leaning planes are measured as the page does, beside the Cramer-Rao
+bound. Half an hour of processor time, ``--small`` two minutes.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from phone_picture import LIGHTS, QUALITIES, draw, print_tables
 
 from chromaperture.app.assistant import check_shot, sheets_of
 from chromaperture.app.calibration_job import CalibrationJob
 from chromaperture.app.session_folder import SessionFolder
 from chromaperture.app.workbench import Workbench, heard
-from chromaperture.color.srgb import srgb_to_linear
-from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.optics.aperture import DESIGNS, Aperture, SubAperture, channel_transmission, made_of
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
 from chromaperture.optics.filters import OPAQUE
@@ -47,10 +38,11 @@ from chromaperture.optics.simulator.session import wall
 from chromaperture.optics.simulator.video_signal import VideoSignal, drawn_smaller, video_frame
 from chromaperture.system.robust import MAD_TO_SIGMA
 
+QUALITIES = ("real-time", "accurate")
 WHITE = 0.9  # of full scale, of the brightest paper
 RULER_MM = 0.3  # largest error of a distance: a caliper's, at these distances
-TINY = 1e-6  # light is kept in counts of 16 bits of its brightest value
-LOSSES = ("stop", "noise", "4:2:0", "tone", "8 bit")
+SENSOR = SensorModel()
+SIGNAL = VideoSignal(SENSOR, "bt709", "4:2:0", 8)
 
 
 @dataclass(frozen=True)
@@ -84,82 +76,45 @@ SMALL = Phone(width_px=640, height_px=360, cells=6, boards_mm=(90.0, 110.0, 150.
               leans_deg=Phone.leans_deg[:4], planes_mm=(115.0, 250.0))  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Losses:
-    """Which losses a variant has."""
-
-    name: str
-    stop: bool = False  # the film is away from the stop
-    noise: bool = False
-    chroma: bool = False
-    tone: bool = False  # BT.709 instead of the sRGB curve that the reader assumes
-    bits: bool = False
-    doubled: bool = True  # captured at twice the size that is measured, and drawn smaller
-    options: dict[str, Any] = field(default_factory=dict)  # of the job
-
-    def signal(self, sensor: SensorModel) -> VideoSignal:
-        """Video of the variant."""
-        return VideoSignal(
-            sensor if self.noise else None, "bt709" if self.tone else "srgb", "4:2:0" if self.chroma else "4:4:4",
-            8 if self.bits else None,
-        )  # fmt: skip
+def true_mm(phone: Phone, ruler_mm: float) -> float:
+    """Where the board of a ruler's reading stands."""
+    rng = np.random.default_rng((phone.seed, int(ruler_mm)))
+    return ruler_mm + float(rng.uniform(-RULER_MM, RULER_MM))
 
 
-NAMES = dict(zip(LOSSES, ("stop", "noise", "chroma", "tone", "bits"), strict=True))
-ALL = Losses("everything", stop=True, noise=True, chroma=True, tone=True, bits=True)
-VARIANTS = [
-    Losses("nothing"),
-    *(Losses(f"{loss} alone", **{key: True}) for loss, key in NAMES.items()),
-    ALL,
-    *(replace(ALL, name=f"without {loss}", **{key: False}) for loss, key in NAMES.items()),
-    Losses("4:2:0 alone, not doubled", chroma=True, doubled=False),
-    replace(ALL, name="everything, not doubled", doubled=False),
-]
+class Shutter:
+    """Photographs of the phone and the true depth of its planes."""
 
-
-# ---- light
-
-
-class Light:
-    """Rendered light, kept in a folder.
-
-    Parameters
-    ----------
-    phone : Phone
-    folder : Path
-    """
-
-    def __init__(self, phone: Phone, folder: Path) -> None:
-        self.phone, self.folder = phone, folder
-        folder.mkdir(parents=True, exist_ok=True)
+    def __init__(self, phone: Phone) -> None:
+        self.phone = phone
         self.aperture = made_of(DESIGNS[phone.design], "real")
-        self._tables: dict[tuple[bool, str], RayTable] = {}
+        self.table = cache(self._table)
+        self.exposures = [WHITE / float(self.light(f"white/{name}").max()) for name in ("open", phone.design)]
 
-    def of(self, name: str, off_stop: bool) -> np.ndarray:
-        """Light of a photograph of `photographs`; (H, W, 3) float32."""
-        path = self.folder / f"{'off' if off_stop else 'at'}-{name.replace('/', '-')}.npz"
-        if not path.is_file():
-            picture = self._render(name, off_stop)
-            top = max(float(picture.max()), TINY)
-            np.savez(path, counts=np.rint(picture / top * 65535).astype(np.uint16), top=top)
-        with np.load(path) as stored:
-            return stored["counts"].astype(np.float32) * np.float32(stored["top"] / 65535)
+    def take(self, name: str) -> np.ndarray:
+        """Picture as the page sends it, drawn at half the size of the video; (H / 2, W / 2, 3) uint8."""
+        exposure = self.exposures[0 if name.startswith("white/") else 1]
+        seed = sum(name.encode()) * 1009 + self.phone.seed
+        video = video_frame(self.light(name), SIGNAL, seed=seed, exposure=exposure)
+        return np.rint(255 * drawn_smaller(video, SIGNAL)).astype(np.uint8)
 
-    def _render(self, name: str, off_stop: bool) -> np.ndarray:
-        kind, _, rest = name.partition("/")
-        film = self._film(rest) if kind == "white" else self.aperture
-        table = self._table(off_stop, rest if kind == "white" else self.phone.design, film)
-        return render(table, self._scene(kind, rest))
+    def depth_mm(self, name: str) -> np.ndarray:
+        """True distances of 2 x 2 pixels; (H / 2, W / 2) float."""
+        depth = render_depth(self.table(self.phone.design), self._scene(*name.split("/")))
+        h, w = depth.shape
+        return depth.reshape(h // 2, 2, w // 2, 2).mean(axis=(1, 3))
 
-    def _table(self, off_stop: bool, name: str, film: Aperture) -> RayTable:
-        key = (off_stop, name)
-        if key not in self._tables:
-            lens = focused_at(load_lens(self.phone.lens), self.phone.focus_mm)
-            lens = with_filter_at(lens, self.phone.film_offset_mm) if off_stop else lens
-            size = {"width_px": self.phone.width_px, "height_px": self.phone.height_px}
-            pitch = self.phone.sensor_width_mm / self.phone.width_px
-            self._tables[key] = lens_rays(lens, film, pixel_pitch_mm=pitch, cells=self.phone.cells, **size)
-        return self._tables[key]
+    def light(self, name: str) -> np.ndarray:
+        """Light of a photograph, "white/SHEET", "board/MM", "tilt/N" or "plane/MM"; (H, W, 3) float32."""
+        kind, rest = name.split("/")
+        return render(self.table(rest if kind == "white" else self.phone.design), self._scene(kind, rest))
+
+    def _table(self, film: str) -> RayTable:
+        phone = self.phone
+        lens = with_filter_at(focused_at(load_lens(phone.lens), phone.focus_mm), phone.film_offset_mm)
+        size = {"width_px": phone.width_px, "height_px": phone.height_px}
+        pitch = phone.sensor_width_mm / phone.width_px
+        return lens_rays(lens, self._film(film), pixel_pitch_mm=pitch, cells=phone.cells, **size)
 
     def _film(self, sheet: str) -> Aperture:
         if sheet == "open":
@@ -188,70 +143,10 @@ class Light:
         picture = np.repeat(grey[..., None], 3, axis=2)
         return [plane(picture, center_mm=(0, 0, at), width_mm=side * footprint, tilt_deg=(*phone.plane_leans_deg, 0))]
 
-    def depth_mm(self, name: str, off_stop: bool) -> np.ndarray:
-        """True distances of a plane, of 2 x 2 pixels; (H / 2, W / 2) float."""
-        kind, _, rest = name.partition("/")
-        depth = render_depth(self._table(off_stop, self.phone.design, self.aperture), self._scene(kind, rest))
-        h, w = depth.shape
-        return depth.reshape(h // 2, 2, w // 2, 2).mean(axis=(1, 3))
-
-
-def true_mm(phone: Phone, ruler_mm: float) -> float:
-    """Where the board of a ruler's reading stands."""
-    rng = np.random.default_rng((phone.seed, int(ruler_mm)))
-    return ruler_mm + float(rng.uniform(-RULER_MM, RULER_MM))
-
-
-# ---- photographs
-
-
-class Shutter:
-    """Photographs of one variant.
-
-    Parameters
-    ----------
-    light : Light
-    losses : Losses
-    sensor : SensorModel
-        Of a pixel of the video.
-    """
-
-    def __init__(self, light: Light, losses: Losses, sensor: SensorModel) -> None:
-        self.light, self.losses = light, losses
-        # A pixel of a video that is half as large gathers the light of four.
-        larger = replace(sensor, full_well_electrons=4 * sensor.full_well_electrons,
-                         read_noise_electrons=2 * sensor.read_noise_electrons)  # fmt: skip
-        self.sensor = sensor if losses.doubled else larger
-        self.sheets = WHITE / float(light.of("white/open", losses.stop).max())
-        coded = light.of(f"white/{light.phone.design}", losses.stop)
-        self.boards = WHITE / float(coded.max())
-
-    def take(self, name: str, light_share: float = 1.0) -> np.ndarray:
-        """Encoded picture as the page sends it; (H, W, 3) float32, 0 to 1."""
-        light, signal = self.light.of(name, self.losses.stop), self.losses.signal(self.sensor)
-        exposure = light_share * (self.sheets if name.startswith("white/") else self.boards)
-        seed = sum(name.encode()) * 1009 + self.light.phone.seed
-        if self.losses.doubled:
-            return drawn_smaller(video_frame(light, signal, seed=seed, exposure=exposure), signal)
-        h, w = (n // 2 for n in light.shape[:2])
-        smaller = light.reshape(h, 2, w, 2, 3).mean(axis=(1, 3), dtype=np.float32)
-        return video_frame(smaller, signal, seed=seed, exposure=exposure)
-
-    def save(self, path: Path, name: str) -> None:
-        """Write a photograph: 8 bits as the page does, or light in 16 bits where nothing is rounded."""
-        picture = self.take(name)
-        if self.losses.bits:
-            counts = np.rint(picture * 255).astype(np.uint8)
-        else:
-            counts = np.rint(srgb_to_linear(picture) * 65535).astype(np.uint16)
-        counts[0, 0, 2] ^= 1  # white paper without noise is exactly grey, which no photograph is: it would be refused
-        path.parent.mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(str(path), counts[..., ::-1])
-
 
 def fill_session(shutter: Shutter, folder: Path, scratch: Path) -> tuple[SessionFolder, list[str]]:
     """Fill a session by the assistant's checks; returns it and what they warned of."""
-    phone, camera = shutter.light.phone, shutter.light.phone.camera()
+    phone, camera = shutter.phone, shutter.phone.camera()
     facts = {
         "design": phone.design, "focal_length_mm": round(camera.image_distance_mm, 1),
         "f_number": round(camera.f_number, 1), "focus_mm": phone.focus_mm, "sensor_width_mm": phone.sensor_width_mm,
@@ -261,7 +156,7 @@ def fill_session(shutter: Shutter, folder: Path, scratch: Path) -> tuple[Session
     path = scratch / "shot.png"
 
     def put(name: str, kind: Any, **options: Any) -> None:
-        shutter.save(path, name)
+        cv2.imwrite(str(path), shutter.take(name)[..., ::-1])
         found = check_shot(session, path, kind, **options)
         warned.extend(f"{name}: {c.name}: {c.finding}" for c in found.checks if c.verdict == "warn")
         session.keep(path, kind, found.reading, found.checks, sheet=options.get("sheet", ""))
@@ -274,55 +169,6 @@ def fill_session(shutter: Shutter, folder: Path, scratch: Path) -> tuple[Session
         put(f"white/{sheet}", "white", sheet=sheet)
     path.unlink()
     return session, warned
-
-
-# ---- measuring
-
-
-def measure(shutter: Shutter, bench: Workbench, at_mm: float, quality: str, light_share: float = 1.0) -> DepthFrame:
-    """Measure a plane with a variant's camera file, 8 bits by the function that answers the page."""
-    picture = shutter.take(f"plane/{at_mm:g}", light_share)
-    if not shutter.losses.bits:
-        return bench.eye("phone", quality).measure(srgb_to_linear(picture))
-    data, size = np.rint(picture * 255).astype(np.uint8), (picture.shape[1], picture.shape[0])
-    return bench.measure_pixels(data.tobytes(), size, camera="phone", quality=quality)[0]
-
-
-def measure_planes(shutter: Shutter, bench: Workbench) -> Iterator[dict[str, Any]]:
-    """Measure the planes with a camera file; one row a distance and quality."""
-    for at in shutter.light.phone.planes_mm:
-        truth = shutter.light.depth_mm(f"plane/{at:g}", shutter.losses.stop)
-        for quality in QUALITIES:
-            frame = measure(shutter, bench, at, quality)
-            yield {"distance_mm": at, "quality": quality} | errors(frame.depth_mm, frame.sigma_mm, truth)
-
-
-def changes(phone: Phone, work: Path, names: Sequence[str]) -> dict[str, list[dict[str, float]]]:
-    """What a loss changes, pixel by pixel, in the `real-time` depth of the same planes without any, in two lights.
-
-    Median and spread of the difference of the relative errors: what both have in common, the matcher's own, is gone.
-    """
-    before: dict[tuple[float, float], np.ndarray] = {}
-    found: dict[str, list[dict[str, float]]] = {}
-    for losses in (v for v in VARIANTS if v.name in names):
-        shutter = Shutter(Light(phone, work / "light"), losses, SensorModel())
-        bench = Workbench(folder_of(work, losses), reserve_bytes=0)
-        for at in phone.planes_mm:
-            truth = shutter.light.depth_mm(f"plane/{at:g}", losses.stop)
-            for light in LIGHTS:
-                with heard():
-                    error = (measure(shutter, bench, at, "real-time", light).depth_mm - truth) / truth
-                change = error - before.setdefault((at, light), error)
-                shift = float(np.nanmedian(change))
-                scatter = float(MAD_TO_SIGMA * np.nanmedian(np.abs(change - shift)))
-                row = {"distance_mm": at, "light": light, "shift": shift, "scatter": scatter}
-                found.setdefault(losses.name, []).append(row)
-    return found
-
-
-def folder_of(work: Path, losses: Losses) -> Path:
-    """Folder of a variant."""
-    return work / "variants" / "".join(c if c.isalnum() else "-" for c in losses.name)
 
 
 def errors(depth: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> dict[str, float]:
@@ -352,57 +198,46 @@ def bounds(phone: Phone, sensor: SensorModel) -> dict[float, float]:
     return dict(zip(phone.planes_mm, (found.sigma_mm / at).tolist(), strict=True))
 
 
-def run_variant(phone: Phone, losses: Losses, work: Path, *, lens_blur: bool) -> dict[str, Any]:
-    """Calibrate and measure one variant."""
-    sensor = SensorModel()
-    shutter = Shutter(Light(phone, work / "light"), losses, sensor)
-    folder = folder_of(work, losses)
+def run_phone(phone: Phone, folder: Path, *, lens_blur: bool = True) -> dict[str, Any]:
+    """Calibrate in a new folder by the assistant, and measure the planes; one row a distance and quality."""
+    shutter = Shutter(phone)
     bench = Workbench(folder, reserve_bytes=0)
-    session_folder = folder / "sessions" / "phone"
-    camera = folder / "cameras" / "phone.asdf"
-    warned: list[str] = []
-    if not camera.is_file():
-        if session_folder.exists():
-            raise SystemExit(f"{session_folder} is half filled: delete {folder}")
-        with heard():
-            _, warned = fill_session(shutter, session_folder, folder)
-            job = CalibrationJob(session_folder, camera, folder / "report.html", lens_blur=lens_blur)
-            job.start()
-            job.wait()
-        if job.error:
-            raise SystemExit(f"{losses.name}: {job.error}")
-        (folder / "job.json").write_text(json.dumps({"warned": warned, "result": job.result}))
-    job_said = json.loads((folder / "job.json").read_text())
-    rows = list(measure_planes(shutter, bench))
-    return {"losses": {k: v for k, v in asdict(losses).items() if k != "options"}, "rows": rows, **job_said}
+    session_folder, camera = folder / "sessions" / "phone", folder / "cameras" / "phone.asdf"
+    with heard():
+        _, warned = fill_session(shutter, session_folder, folder)
+        job = CalibrationJob(session_folder, camera, folder / "report.html", lens_blur=lens_blur)
+        job.start()
+        job.wait()
+    if job.error:
+        raise SystemExit(job.error)
+    return {"warned": warned, "result": job.result, "rows": list(measured(shutter, bench))}
+
+
+def measured(shutter: Shutter, bench: Workbench) -> Iterator[dict[str, Any]]:
+    """Measure the planes by the function that answers the page."""
+    for at in shutter.phone.planes_mm:
+        picture, truth = shutter.take(f"plane/{at:g}"), shutter.depth_mm(f"plane/{at:g}")
+        for quality in QUALITIES:
+            size = picture.shape[1], picture.shape[0]
+            frame = bench.measure_pixels(picture.tobytes(), size, camera="phone", quality=quality)[0]
+            yield {"distance_mm": at, "quality": quality} | errors(frame.depth_mm, frame.sigma_mm, truth)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--work", type=Path, help="default: OUT/work")
-    parser.add_argument("--only", nargs="+", choices=[v.name for v in VARIANTS])
+    parser.add_argument("--out", type=Path, required=True, help="a folder that does not exist")
     parser.add_argument("--small", action="store_true", help="a quarter of the pixels, fewer photographs and rays")
     parser.add_argument("--no-blur", action="store_true", help="calibrate without the lens's blur")
     args = parser.parse_args()
-    phone, work = SMALL if args.small else Phone(), args.work or args.out / "work"
-    args.out.mkdir(parents=True, exist_ok=True)
-    results = {}
-    for losses in VARIANTS:
-        if args.only and losses.name not in args.only:
-            continue
-        kept = work / f"{losses.name.replace(' ', '-').replace(':', '')}.json"
-        if not kept.is_file():
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            kept.write_text(json.dumps(run_variant(phone, losses, work, lens_blur=not args.no_blur)))
-        results[losses.name] = json.loads(kept.read_text())
-        print(losses.name, "done", flush=True)
-    bound = bounds(phone, SensorModel())
-    changed = changes(phone, work, list(results)) if "nothing" in results else {}
-    print_tables(results, bound, changed)
-    (args.out / "phone.json").write_text(json.dumps({"bound": bound, "results": results, "changes": changed}, indent=1))
-    if "everything" in results:
-        draw(results, bound, changed, args.out / "phone.png")
+    args.out.mkdir(parents=True)
+    phone = SMALL if args.small else Phone()
+    found = run_phone(phone, args.out, lens_blur=not args.no_blur)
+    (args.out / "phone.json").write_text(json.dumps(found, indent=1))
+    limits = bounds(phone, SENSOR)
+    print("warned:", *found["warned"])
+    for row in found["rows"]:
+        figures = "  ".join(f"{k} {v:.4f}" for k, v in row.items() if k not in ("distance_mm", "quality"))
+        print(f"{row['distance_mm']:6g} mm  {row['quality']:9}  bound {limits[row['distance_mm']]:.4f}  {figures}")
 
 
 if __name__ == "__main__":

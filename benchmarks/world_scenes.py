@@ -1,4 +1,4 @@
-"""Scenes of real geometry, curved, thin and cluttered, through traced lenses: a set to choose by and to test on.
+"""Scenes of real geometry, curved, thin and cluttered, with known depth: a set to choose by and to test on.
 
     python benchmarks/world_scenes.py cameras --out CAMERAS
     python benchmarks/world_scenes.py draw --out PICTURES [--first 0] [--scenes 48] [--shared SHARED] [--camera NAME]
@@ -23,9 +23,23 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from error_bar_scenes import few_surfaces, grain, photograph, photographed, texture
-from furnished_rooms import bricks, cloth, cover_of_card, cover_of_wall, furnished_room, plaster, wallpaper, wood
+from bench50 import score as score_of
 from numpy.random import Generator
+from rooms import (
+    bricks,
+    cloth,
+    cover_of_card,
+    cover_of_wall,
+    few_surfaces,
+    furnished_room,
+    grain,
+    photograph,
+    photographed,
+    plaster,
+    texture,
+    wallpaper,
+    wood,
+)
 from scipy.ndimage import distance_transform_edt
 from world_shapes import (
     ball,
@@ -85,7 +99,7 @@ PLAN = {  # camera: kinds of its scenes, in the order of their numbers
 EXPOSURES = (0.2, 0.5, 0.9, 0.9, 0.9)  # of the white level
 CELLS = 10  # across the exit pupil: about 55 rays through the open stop, for each colour
 BAND_ROWS = 16  # are rendered at a time
-NEAREST_MM, FARTHEST_MM = 1000.0, 4000.0
+NAMES = ("within_2_percent", "within_5_percent", "within_1_sigma", "within_2_sigma", "fill")  # of the scores
 
 
 class Sheet(NamedTuple):
@@ -729,18 +743,6 @@ def cameras(args: argparse.Namespace) -> None:
         subprocess.run([*program, "calibrate", args.out / name, "--out", args.out / f"{name}.asdf"], check=True)
 
 
-def scores(frame, truth_mm: np.ndarray) -> dict[str, float]:
-    """Shares within 2 and 5 % of what is known, and within 1 and 2 bars of what is answered."""
-    known = np.isfinite(truth_mm)
-    answered = known & np.isfinite(frame.depth_mm)
-    error = np.abs(frame.depth_mm - truth_mm)
-    found = {f"within_{share}": float((error[answered] < share / 100 * truth_mm[answered]).sum() / known.sum())
-             for share in (2, 5)}  # fmt: skip
-    bars = (error / frame.sigma_mm)[answered]
-    found |= {f"bars_{count}": float((bars < count).mean()) for count in (1, 2)}
-    return found | {"answered": float(answered.sum() / known.sum())}
-
-
 def score(args: argparse.Namespace) -> None:
     """Measure pictures and print the shares by kind and part, in per cent."""
     only = None if args.cameras.is_dir() else args.cameras.stem
@@ -752,17 +754,18 @@ def score(args: argparse.Namespace) -> None:
             about = {name: str(stored[name]) for name in ("kind", "camera", "part")}
             if only not in (None, about["camera"]):
                 continue
-            found = scores(opened(about["camera"]).measure(stored["image"]), stored["truth_mm"])
+            frame = opened(about["camera"]).measure(stored["image"])
+            figures = score_of(frame.depth_mm, frame.sigma_mm, stored["truth_mm"])
+        found = {name: figures[name] for name in NAMES}
         rows.append({"scene": path.stem, **about, **found})
         print(path.stem, about["camera"], "  ".join(f"{name} {100 * value:.1f}" for name, value in found.items()))
-    names = list(found)
-    print(f"\n{'':22}scenes  " + "  ".join(f"{name:>13}" for name in names))
+    print(f"\n{'':22}scenes  " + "  ".join(f"{name:>16}" for name in NAMES))
     for column in ("kind", "part", "camera", None):
         for value in sorted({row[column] for row in rows}) if column else ["mean"]:
-            these = np.array([[row[name] for name in names] for row in rows if not column or row[column] == value])
-            error = these.std(axis=0, ddof=1) / np.sqrt(len(these)) if len(these) > 1 else np.full(len(names), np.nan)
+            these = np.array([[row[name] for name in NAMES] for row in rows if not column or row[column] == value])
+            error = these.std(axis=0, ddof=1) / np.sqrt(len(these)) if len(these) > 1 else np.full(len(NAMES), np.nan)
             pairs = zip(100 * these.mean(axis=0), 100 * error, strict=True)
-            words = "  ".join(f"{mean:6.1f} ± {more:4.1f}" for mean, more in pairs)
+            words = "  ".join(f"{mean:9.1f} ± {more:4.1f}" for mean, more in pairs)
             print(f"{value:22}{len(these):6}  {words}")
     if args.json:
         args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")

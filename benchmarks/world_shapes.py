@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
-from error_bar_scenes import grain, photograph, texture
-from furnished_rooms import cover_of_card, plaster
 from numpy.random import Generator
+from rooms import cover_of_card, grain, photograph, plaster, texture
 
 HUES = (
     ((0.80, 0.30, 0.05), (0.05, 0.15, 0.70)),  # orange, blue

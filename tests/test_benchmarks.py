@@ -12,7 +12,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 SCRIPTS = sorted(path for folder in ("benchmarks", "examples") for path in (ROOT / folder).rglob("*.py"))
 OTHERS = {
-    "PIL", "av", "cv2", "matplotlib", "mcap_ros2", "msgspec", "numba", "numpy", "onnx", "open3d", "playwright", "scipy",
+    "PIL", "av", "cv2", "matplotlib", "mcap_ros2", "msgspec", "numba", "numpy", "onnx", "open3d", "scipy",
     "skimage", "sklearn", "tifffile", "torch", "viser", "websockets",
 }  # fmt: skip
 
@@ -56,10 +56,9 @@ def is_there(module: str, name: str | None, folder: Path) -> bool:
         if not is_module(module):
             return False
         return name is None or hasattr(import_module(module), name) or is_module(f"{module}.{name}")
-    # One script, page.py, has the helpers of the tests.
-    scripts = [path for place in (folder, ROOT / "tests") if (path := place / f"{module}.py").exists()]
-    if scripts:
-        return name is None or name in top_level_names(scripts[0])
+    script = folder / f"{module}.py"
+    if script.exists():
+        return name is None or name in top_level_names(script)
     return top in sys.stdlib_module_names | OTHERS
 
 
@@ -95,7 +94,6 @@ import cv2, chromaperture.nowhere, renamed_script
 from chromaperture import DepthFrame, no_such, optics
 from chromaperture.nowhere import anything
 from timing import fastest_ms, slowest_ms, threads
-from apps import no_app
 def later():
     from chromaperture.optics.aperture import DESIGNS, NO_DESIGNS
 """
@@ -103,7 +101,7 @@ def later():
     assert unchecked == []
     assert missing == [
         "chromaperture.nowhere", "renamed_script", "chromaperture no_such", "chromaperture.nowhere anything",
-        "timing slowest_ms", "timing threads", "apps no_app", "chromaperture.optics.aperture NO_DESIGNS",
+        "timing slowest_ms", "timing threads", "chromaperture.optics.aperture NO_DESIGNS",
     ]  # fmt: skip
 
 

@@ -37,7 +37,7 @@ LINE_EVERY_S = 2.0  # between two lines of progress, where there is no terminal;
 SAME_AFTER = 2.5  # times as long between two lines that say the same; chosen by hand
 _SPEED_OVER_S = 600.0  # the remaining time follows the last so many seconds: one photograph may take minutes
 # Of quality accurate, a camera's first photograph in a program: 2.7 to 3.6 s for 720x480 px on two cores (chromaperture
-# demo). Later ones take 2.3 s (benchmarks/accurate_speed.py).
+# demo). Later ones take 2.3 s (benchmarks/speed.py accurate).
 ACCURATE_S_A_MEGAPIXEL = 8.0
 
 out = Console()

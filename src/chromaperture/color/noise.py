@@ -15,7 +15,7 @@ KERNEL_NORM = 6.0  # root of the sum of squares of that kernel
 _BLOCK_SIGMA = 0.086  # relative standard error of a block's variance, sqrt(2 / 271): 1024 correlated px act as 271
 # Sides of the squares of pixels whose means are looked at. In the middle light they show 1.00, 1.00, 1.01 times the
 # noise variance of a simulated sensor in linear files, .11, .66, 1.18 in JPEG of quality 95, .05, .42, 1.10 in quality
-# 90, .01, .29, .97 in a Bayer mosaic that is interpolated bilinearly (``benchmarks/developed_files.py sheets``).
+# 90, .01, .29, .97 in a Bayer mosaic that is interpolated bilinearly.
 _SCALES_PX = (1, 2, 4)
 _CLEARLY_MORE = 1.2  # noise by which a coarser scale must exceed the finer ones, which know it better; chosen by hand
 _MIDDLE_LIGHT = 0.5  # of the white level, where scales are compared
