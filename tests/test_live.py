@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from chromaperture.app.live.loop import LiveLoop
+from chromaperture.app.live.loop import LiveLoop, Trail
 from chromaperture.app.live.pictures import depth_picture
 from chromaperture.app.live.slots import Slot
-from chromaperture.app.live.trail import Trail
 from chromaperture.camera.camera import load_camera
 from chromaperture.capture.recording import Recorder, ReplaySource
 from chromaperture.capture.source import Event, FileSource, Frame

@@ -6,9 +6,13 @@ A slow stage costs frames, not latency: it takes the newest item.
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import functools
 import gc
+import re
 import threading
 import time
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,21 +21,136 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from chromaperture.app.live.free_space import RESERVE_BYTES, require_space
-from chromaperture.app.live.notices import RareNotices
-from chromaperture.app.live.old_submaps import forget_old
 from chromaperture.app.live.slots import Meter, Slot
-from chromaperture.app.live.tidying import tidy, trim_memory
-from chromaperture.app.live.trail import Trail
 from chromaperture.app.live.watchdog import Watchdog
 from chromaperture.camera.camera import Begun, CodedApertureCamera, DepthFrame
 from chromaperture.capture.recording import Recorder
 from chromaperture.capture.source import Frame, Source
 from chromaperture.depth.error_limit import within_error
 from chromaperture.products.rectified import undistorter
-from chromaperture.reconstruction.fusion import Placed, Reconstruction
+from chromaperture.reconstruction.fusion import Placed, Reconstruction, Submap
 from chromaperture.reconstruction.settings import ReconstructionConfig
+from chromaperture.reconstruction.tracking import Keyframe
 from chromaperture.reconstruction.volume import Mesh, open3d
 from chromaperture.system.errors import ChromapertureError, InputError
+
+
+def forget_old(model: Reconstruction, most_bytes: int, *, listener: Callable[[str], None] = lambda line: None) -> None:
+    """Empty the oldest submaps until meshes and keyframes of those that no longer grow fit into the memory.
+
+    Their numbers stay, so that no other submap changes its own.
+
+    Parameters
+    ----------
+    model : Reconstruction
+        Changed.
+    most_bytes : int
+    listener : callable, optional
+        Receives a line when a submap is emptied.
+    """
+    left = most_bytes
+    for number in reversed(range(len(model.submaps) - 1)):
+        submap = model.submaps[number]
+        left -= _bytes_of(submap)
+        if left < 0 and submap.keyframes:
+            submap.keyframes = []
+            submap.mesh = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros((0, 3), np.uint8))
+            listener(f"submap {number} is forgotten: older submaps take more than --memory-mb")
+
+
+def _bytes_of(submap: Submap) -> int:
+    mesh = submap.mesh
+    vertices = 0 if mesh is None else mesh.vertices_mm.nbytes + mesh.triangles.nbytes + mesh.colors.nbytes
+    return vertices + sum(_keyframe_bytes(key) for key in submap.keyframes)
+
+
+def _keyframe_bytes(key: Keyframe) -> int:
+    return sum(array.nbytes for array in (key.thumbnail, key.grey, key.z_mm, key.sigma_mm))
+
+
+def tidy() -> None:
+    """Free what only refers to itself, as connections of browsers that left, and return it to the system.
+
+    Left alone, Python's collector looks at old objects only when there are a quarter more: within 17 minutes of
+    browsers that came and went 35 000 objects and 140 MB waited for it.
+    """
+    gc.collect()
+    trim_memory()
+
+
+def trim_memory() -> None:
+    """Return freed memory to the system: glibc keeps fragments freed by many threads, and grows for hours."""
+    if (trim := _trim()) is not None:
+        trim(0)
+
+
+@functools.cache  # a CDLL is a reference cycle: create one only
+def _trim() -> Callable[[int], int] | None:
+    with contextlib.suppress(OSError, AttributeError):
+        trim: Callable[[int], int] = ctypes.CDLL("libc.so.6").malloc_trim
+        return trim
+    return None  # not glibc
+
+
+_PAUSE_S = 60.0  # between two lines of a kind: a minute of a fault is one line. Chosen by hand
+_MOST_KINDS = 100  # remembered, chosen by hand; of more, the oldest may be said again at once
+
+
+class RareNotices:
+    """Pass a line on unless one of its kind, equal but for numbers, was passed on lately.
+
+    Parameters
+    ----------
+    listener : callable
+        Receives the lines; a later one of its kind says how many were left out.
+    pause_s : float
+    """
+
+    def __init__(self, listener: Callable[[str], None], *, pause_s: float = _PAUSE_S) -> None:
+        self._listener, self._pause_s = listener, pause_s
+        self._said: OrderedDict[str, tuple[float, int]] = OrderedDict()  # kind: when, left out since
+        self._changing = threading.Lock()
+
+    def __call__(self, line: str) -> None:
+        """Pass one line on, or count it."""
+        kind, now = re.sub(r"\d+", "0", line), time.monotonic()
+        with self._changing:
+            when, left_out = self._said.get(kind, (float("-inf"), 0))
+            if now - when < self._pause_s:
+                self._said[kind] = (when, left_out + 1)
+                return
+            self._said[kind] = (now, 0)
+            self._said.move_to_end(kind)
+            while len(self._said) > _MOST_KINDS:
+                self._said.popitem(last=False)
+        self._listener(f"{line} ({left_out} more like it since the last)" if left_out else line)
+
+
+_MAX_POINTS = 2000
+
+
+class Trail:
+    """Positions of a camera, evenly thinned: when there are too many, every second is kept, then every fourth.
+
+    Attributes
+    ----------
+    points_mm : list of (3,) float64
+        A new list after every change, so that another thread may read it.
+    """
+
+    def __init__(self, most: int = _MAX_POINTS) -> None:
+        self.points_mm: list[np.ndarray] = []
+        self._most, self._step, self._count = most, 1, 0
+
+    def add(self, point_mm: np.ndarray) -> None:
+        """Add a position, unless it is thinned out."""
+        if self._count % self._step == 0:
+            points = [*self.points_mm, point_mm.copy()]
+            if len(points) > self._most:
+                points, self._step = points[::2], 2 * self._step
+            self.points_mm = points
+        self._count += 1
+
 
 STAGES = ("capture", "depth", "tracking", "view")
 _PATIENCE_S = 0.5  # of depth with tracking: then the page goes on without a model; longer than a mesh takes; by hand
