@@ -310,7 +310,7 @@ def test_a_browser_that_trusts_the_certificate_is_answered_by_https(tmp_path):
     import threading
 
     from chromaperture.app.listening import make_server
-    from chromaperture.app.live.access import Access
+    from chromaperture.app.gate import Access
     from chromaperture.app.server import make_app
     from chromaperture.app.workbench import Workbench
 

@@ -119,7 +119,7 @@ def test_paths_are_those_that_the_device_can(camera, exchange, has_quads):
 
 
 def test_points_are_those_of_the_command_line(camera):
-    text, array = unpacked(make_points(camera))
+    text, array = unpacked(make_points(camera.calibration, camera.config.quality))
     points = text["points"]
     rays = array(points["rays"]).reshape(points["rows"], points["columns"], 2)
     depth = np.full(SIZE_PX[::-1], 2000.0, np.float32)

@@ -21,7 +21,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chromaperture.app.live.access import Access, serve
+from chromaperture.app.gate import Access, serve
 from chromaperture.app.live.controls import ControlLimits, Limits
 from chromaperture.app.live.live_scene import first_view
 from chromaperture.app.live.loop import LiveLoop

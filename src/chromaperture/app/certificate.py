@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from chromaperture.app.live.access import new_token
+from chromaperture.app.gate import new_token
 from chromaperture.system.errors import InputError, MissingDependencyError
 from chromaperture.system.storage import staged
 

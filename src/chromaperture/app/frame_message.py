@@ -17,21 +17,34 @@ LARGEST_PX = (1600, 1600)  # of the maps in a page; the files that are saved hav
 _JPEG_QUALITY = 90  # of the colour picture, for the eye only; chosen by hand
 
 
-def pack_frame(frame: DepthFrame, facts: dict[str, Any]) -> bytes:
+def pack_frame(
+    frame: DepthFrame,
+    facts: dict[str, Any],
+    *,
+    size: tuple[int, int] | None = None,
+    color: np.ndarray | None = None,
+    hidden: np.ndarray | None = None,
+) -> bytes:
     """Return a frame as one message.
 
     Four bytes hold the length of a JSON text, little-endian. After it come depth and error bar, each (h, w) uint16, and
     the restored colours as JPEG. A count c of a map means c * step mm, and 0 unknown. Frames of a camera without a
-    calibration have disparity instead, offset by ``first``: value = first + c * step.
+    calibration have disparity instead, offset by ``first``: value = first + c * step. At the end is a bit for each
+    pixel that is no point, where ``hidden`` says so.
 
     Parameters
     ----------
     frame : DepthFrame
     facts : dict
         More to put into the JSON text.
+    size : (int, int), optional
+        Width and height of the maps; by default the frame's, or what fits into `LARGEST_PX`.
+    color : (H', W', 3) float, optional
+        Linear RGB to show in place of the restored colours.
+    hidden : (H, W) bool, optional
+        Pixels of which no point is made.
     """
-    size = fitted_size(frame.disparity_px.shape, LARGEST_PX)
-    size = min(size, frame.disparity_px.shape[1::-1])
+    size = size or min(fitted_size(frame.disparity_px.shape, LARGEST_PX), frame.disparity_px.shape[1::-1])
     depth, depth_colors, _ = depth_scale(frame)
     sigma, sigma_colors, _ = error_scale(frame)
     maps, described = [], {}
@@ -41,17 +54,18 @@ def pack_frame(frame: DepthFrame, facts: dict[str, Any]) -> bytes:
         described[name] = {
             "first": first, "step": step, "unit": colors.unit, "low": colors.low, "high": colors.high,
         }  # fmt: skip
-    picture = cv2.cvtColor(exposed(frame.color, size), cv2.COLOR_RGB2BGR)
-    color = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))[1].tobytes()
+    picture = cv2.cvtColor(exposed(frame.color if color is None else color, size), cv2.COLOR_RGB2BGR)
+    jpeg = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY))[1].tobytes()
+    bits = b"" if hidden is None else np.packbits(reduced(hidden, size)).tobytes()
     known = np.isfinite(depth)
     header = facts | described | {
         "width": size[0], "height": size[1],
         "full_width": frame.disparity_px.shape[1], "full_height": frame.disparity_px.shape[0],
-        "fill": float(known.mean()), "color_bytes": len(color),
+        "fill": float(known.mean()), "color_bytes": len(jpeg), "hidden_bytes": len(bits),
     }  # fmt: skip
     text = json.dumps(header, allow_nan=False).encode()
     text += b" " * (-(4 + len(text)) % 2)  # the maps begin at an even place, as arrays of 16 bits must
-    return struct.pack("<I", len(text)) + text + b"".join(maps) + color
+    return struct.pack("<I", len(text)) + text + b"".join(maps) + jpeg + bits
 
 
 def to_counts(values: np.ndarray) -> tuple[np.ndarray, float, float]:

@@ -23,7 +23,7 @@ from typing import Any, cast
 import numpy as np
 
 from chromaperture.app.device_plan import MOST_PX, make_plan, make_points
-from chromaperture.app.live.free_space import RESERVE_BYTES, require_space
+from chromaperture.app.free_space import RESERVE_BYTES, require_space
 from chromaperture.app.notes import heard
 from chromaperture.app.session_folder import Holding
 from chromaperture.camera.camera import CodedApertureCamera
@@ -39,7 +39,7 @@ from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.frame.other_formats import write_format
 from chromaperture.model.camera_file import Calibration
-from chromaperture.model.scale import reduced_size
+from chromaperture.model.scale import reduced_size, resized
 from chromaperture.products.measure_file import MeasuredFile, measure_only
 from chromaperture.settings.methods import QUALITIES
 from chromaperture.system.errors import InputError
@@ -189,7 +189,7 @@ class Workbench:
         eye = self.eye(name, quality)
         if min(size_px) < 1 or math.prod(size_px) > MOST_PX or not eye.calibration.is_calibrated:
             raise InputError("points are made of the maps of a calibrated camera, of up to 4 megapixels")
-        return make_points(eye.at_size(*size_px))
+        return make_points(resized(eye.calibration, *size_px), eye.config.quality)
 
     # ---- measuring
 

@@ -14,19 +14,18 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from chromaperture.app.live.free_space import RESERVE_BYTES, require_space
+from chromaperture.app.free_space import RESERVE_BYTES, require_space
 from chromaperture.app.live.slots import Meter, Slot
 from chromaperture.app.live.watchdog import Watchdog
 from chromaperture.camera.camera import Begun, CodedApertureCamera, DepthFrame
 from chromaperture.capture.recording import Recorder
 from chromaperture.capture.source import Frame, Source
-from chromaperture.depth.error_limit import within_error
 from chromaperture.products.rectified import undistorter
 from chromaperture.reconstruction.fusion import Placed, Reconstruction, Submap
 from chromaperture.reconstruction.settings import ReconstructionConfig
@@ -497,12 +496,3 @@ def one_line(error: BaseException) -> str:
     """Return the message of an error; its kind too, unless it was written for the user."""
     text = " ".join(str(error).split())
     return text if text and isinstance(error, ChromapertureError) else f"{type(error).__name__}: {text}".rstrip(": ")
-
-
-def within_limits(measured: Measured, *, max_sigma: float, near_mm: float, far_mm: float) -> Measured:
-    """Remove depth with wide error bars, relative to the distance, and depth out of range."""
-    depth_mm = within_error(measured.measurement.depth_mm, measured.measurement.sigma_mm, max_sigma)
-    with np.errstate(invalid="ignore"):
-        kept = (depth_mm >= near_mm) & (depth_mm <= far_mm)
-    kept_mm = np.where(kept, depth_mm, np.float32(np.nan))
-    return replace(measured, measurement=replace(measured.measurement, depth_mm=kept_mm))
