@@ -16,7 +16,7 @@ import numpy as np
 from error_bar_scenes import NEAREST_MM, grain, photograph, photographed, side_of_box
 from numpy.random import Generator
 
-from chromaperture.app.live.pictures import depth_picture
+from chromaperture.color.color_maps import DISTANCE, draw_levels
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.paraxial import focused_at
 from chromaperture.optics.prescription import load_lens
@@ -339,8 +339,8 @@ def main() -> None:
         half_field = float(half[0]), float(half[1])
         room = furnished_room(seed, half_field) + (bent_things(seed, half_field) if args.bent else [])
         image, depth_mm = photographed(table, room, seed=seed, exposures=(0.9,))
-        near = depth_picture(depth_mm.astype(np.float32), near_mm=NEAREST_MM, far_mm=WALLS_MM[1])
-        near = near[:, : image.shape[1], ::-1]  # less the colour bar
+        levels = (1 / NEAREST_MM - 1 / depth_mm) / (1 / NEAREST_MM - 1 / WALLS_MM[1])
+        near = draw_levels(levels, DISTANCE)[..., ::-1]
         pictures.append(np.vstack([np.uint8(255 * np.sqrt(np.clip(image, 0, 1)))[..., ::-1], near]))
     rows = [np.hstack(pictures[row : row + 4]) for row in range(0, 12, 4)]
     cv2.imwrite(str(args.out), np.vstack(rows))

@@ -309,8 +309,8 @@ def test_the_certificate_is_made_once_and_anew_for_another_address(tmp_path):
 def test_a_browser_that_trusts_the_certificate_is_answered_by_https(tmp_path):
     import threading
 
-    from chromaperture.app.listening import make_server
     from chromaperture.app.gate import Access
+    from chromaperture.app.listening import make_server
     from chromaperture.app.server import make_app
     from chromaperture.app.workbench import Workbench
 

@@ -62,9 +62,7 @@ def new_token() -> str:
 class Access:
     """Who may connect."""
 
-    host: (
-        str  # listened on; on 0.0.0.0 or :: every address of this machine leads here, and its name
-    )
+    host: str  # listened on; on 0.0.0.0 or :: every address of this machine leads here, and its name
     token: str = field(default_factory=new_token)  # first part of the path of every request
     scheme: str = "http"  # or https
     command: str = "live"  # that printed the address

@@ -41,7 +41,8 @@ class LivePage:
         self, loop: LiveLoop, *, host: str, port: int, out: Path, max_relative_sigma: float = MAX_RELATIVE_SIGMA
     ) -> None:
         require_extra()
-        self.view, self.access = LiveView(loop, out=out, max_relative_sigma=max_relative_sigma), Access(host)
+        self.loop, self.access = loop, Access(host)
+        self.view = LiveView(loop, out=out, max_relative_sigma=max_relative_sigma)
         ready = threading.Event()
         application = make_live_app(self.view, self.access)
         self._server = make_server(application, host=host, port=port, ports=NEXT_PORTS, ready=ready.set)
