@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import http.client
 import json
@@ -509,8 +510,8 @@ def test_the_buttons_do_what_they_say(browser, tmp_path):
 @browser_test
 def test_points_and_the_growing_model_are_drawn(browser, tmp_path):
     def pixels(page):
-        png = page.locator("#watch-viewer .turned canvas").screenshot()
-        return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR).astype(int)
+        png = page.evaluate("document.querySelector('#watch-viewer .turned canvas').toDataURL()")
+        return cv2.imdecode(np.frombuffer(base64.b64decode(png.split(",")[1]), np.uint8), cv2.IMREAD_COLOR).astype(int)
 
     def purple(page):
         blue, green, red = np.moveaxis(pixels(page), -1, 0)

@@ -9,11 +9,11 @@ const STATE_MS = 1000, AGAIN_MS = 1000, HIDDEN_MS = 300;  // between two states;
 const ENDED = "“chromaperture live” has ended, or does not answer. Start it again, and open the address that it prints.";
 const VIEWS = { depth: "Depth", sigma: "Error bar", color: "Colour", points: "Points" };
 const SLIDERS = {  // name: [row, label, unit, title]
-  percent: ["watch-limits", "error bar", "%", "Longest error bar shown, % of the distance"],
-  near: ["watch-limits", "nearest", "mm", "Nearer pixels are left out"],
-  far: ["watch-limits", "farthest", "mm", "Farther pixels are left out"],
-  focus: ["watch-focus", "focus at", "mm", "Where the colour is in focus"],
-  pupil: ["watch-focus", "pupil", "x", "Diameter of the new pupil, in units of the camera's"],
+  percent: ["watch-range", "error bar", "%", "Longest error bar shown, % of the distance"],
+  near: ["watch-range", "nearest", "mm", "Nearer pixels are left out"],
+  far: ["watch-range", "farthest", "mm", "Farther pixels are left out"],
+  focus: ["watch-lens", "focus at", "mm", "Where the colour is in focus"],
+  pupil: ["watch-lens", "pupil", "x", "Diameter of the new pupil, in units of the camera's"],
 };
 const sliders = {}, pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 let viewer, state = {}, mesh = 0;
@@ -36,7 +36,7 @@ function addSlider(name, { lowest, highest, initial }, step_mm) {
   const output = make("output", { for: id });
   // "any": the ends are no whole steps
   const slider = sliders[name] = make("input", { id, type: "range", min: lowest, max: highest, step: isDistance ? step_mm : 0.1 });
-  const show = () => { output.textContent = `${Number(slider.value)} ${unit}`; if (row === "watch-limits" && viewer.frame) { limit(viewer.frame); viewer.draw(); } };
+  const show = () => { output.textContent = `${Number(slider.value)} ${unit}`; if (row === "watch-range" && viewer.frame) { limit(viewer.frame); viewer.draw(); } };
   $(row).append(make("label", { class: "slider", for: id, title, text: `${label} ` }, output, slider));
   slider.value = initial;
   slider.addEventListener("input", show);
