@@ -28,14 +28,7 @@ _REPORT = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-a
 
 
 class AssistantAnswers:
-    """The answer to each address of the assistant.
-
-    Parameters
-    ----------
-    workbench : Workbench
-    desk : Desk
-    cameras : CameraAnswers, optional
-    """
+    """The answer to each address of the assistant."""
 
     def __init__(self, workbench: Workbench, desk: Desk, cameras: CameraAnswers | None = None) -> None:
         self.workbench, self.desk, self.cameras = workbench, desk, cameras or CameraAnswers()

@@ -11,13 +11,7 @@ from chromaperture.system.errors import InputError
 
 
 class CameraAnswers:
-    """The answer to each address of the cameras.
-
-    Parameters
-    ----------
-    feeds : sequence of CameraFeed
-        Those that the command line names. A page chooses one by its number and can name no other.
-    """
+    """The answer to each address of the cameras that the command line names: a page chooses one by its number."""
 
     def __init__(self, feeds: Sequence[CameraFeed] = ()) -> None:
         self.feeds = tuple(feeds)

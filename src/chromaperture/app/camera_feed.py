@@ -31,19 +31,8 @@ class CameraFeed:
     """One source of `capture/`, opened when the page first asks for a picture, and released when it asks no more.
 
     Live cameras give their newest frame. All others give the next one when asked for it, so that a tethered camera
-    takes no photograph by itself.
-
-    Parameters
-    ----------
-    spec : str
-        As for ``chromaperture live``; from the command line, never from a page.
-    wait_s, idle_s : float
-        Until a camera that gives nothing is an error; until one that nobody asks for is released.
-
-    Raises
-    ------
-    InputError
-        Unknown kind of source, or a setting of it.
+    takes no photograph by itself. ``spec``, as for ``chromaperture live``, is from the command line, never from a page;
+    raises InputError for an unknown one.
     """
 
     def __init__(self, spec: str, *, wait_s: float = _WAIT_S, idle_s: float = _IDLE_S) -> None:
@@ -63,10 +52,7 @@ class CameraFeed:
     def next_frame(self) -> Frame:
         """Return the newest frame of a live camera, the next one of another source.
 
-        Raises
-        ------
-        InputError
-            It cannot be opened, was taken away, has ended, or gives nothing.
+        Raises InputError where it cannot be opened, was taken away, has ended, or gives nothing.
         """
         if not self._turn.acquire(timeout=self.wait_s):
             raise InputError(f"{self.name} is still busy with the picture before; try again")
@@ -186,13 +172,6 @@ def write_frame(frame: Frame, path: Path, session: SessionFolder) -> None:
     """Write a frame as a photograph of a session, PNG, so that all of its photographs are decoded alike.
 
     The first one decides: 8 bits of sRGB stay so; of all others the session states the levels, where nobody gave them.
-
-    Parameters
-    ----------
-    frame : Frame
-    path : Path
-        With the suffix ``.png``.
-    session : SessionFolder
     """
     encoding, facts = frame.encoding, session.facts
     if facts.white_level is None and not session.shots and encoding.curve != "srgb":

@@ -46,26 +46,10 @@ _MEAN_ALL, _USABLE, _VARIANCE = 3, 4, 8
 
 
 def make_plan(camera: CodedApertureCamera, exchange: str, facts: dict[str, Any]) -> bytes:
-    """Return the plan for frames of a camera's size at quality real-time.
+    """Return the plan for frames of a camera's size at quality real-time; raises InputError where it cannot measure so.
 
-    Parameters
-    ----------
-    camera : CodedApertureCamera
-        At real-time quality, for frames that need not be reduced.
-    exchange : {"quad", "shared", "single"}
-        See `PlannedChain`.
-    facts : dict
-        More to put into the plan's text.
-
-    Returns
-    -------
-    bytes
-        The length of a deflated JSON text (four bytes, little-endian), the text, and the arrays that it refers to.
-
-    Raises
-    ------
-    InputError
-        The camera or the frame cannot be measured so.
+    It is the length of a deflated JSON text (four bytes, little-endian), the text with ``facts``, and the arrays that
+    it refers to; for ``exchange`` see `PlannedChain`.
     """
     if exchange not in get_args(Exchange):
         raise InputError(f"unknown exchange {exchange!r}: choose {', '.join(get_args(Exchange))}")
@@ -120,12 +104,7 @@ def make_points(calibration: Calibration, quality: Quality) -> bytes:
 
 
 def light_of_counts(calibration: Calibration) -> tuple[np.ndarray, list[str]]:
-    """Return the linear light of the 256 counts of a picture of 8 bits as its file is read, and notes about it.
-
-    Returns
-    -------
-    (256,) float32, and a list of sentences
-    """
+    """Return the linear light of the 256 counts of a picture of 8 bits, (256,) float32, and notes about it."""
     counts = np.repeat(np.arange(256, dtype=np.uint8)[:, None, None], 3, axis=2)
     encoding = calibration.sensor.encoding if calibration.is_calibrated else None
     with heard() as notes:

@@ -27,22 +27,11 @@ def pack_frame(
 ) -> bytes:
     """Return a frame as one message.
 
-    Four bytes hold the length of a JSON text, little-endian. After it come depth and error bar, each (h, w) uint16, and
-    the restored colours as JPEG. A count c of a map means c * step mm, and 0 unknown. Frames of a camera without a
-    calibration have disparity instead, offset by ``first``: value = first + c * step. At the end is a bit for each
-    pixel that is no point, where ``hidden`` says so.
-
-    Parameters
-    ----------
-    frame : DepthFrame
-    facts : dict
-        More to put into the JSON text.
-    size : (int, int), optional
-        Width and height of the maps; by default the frame's, or what fits into `LARGEST_PX`.
-    color : (H', W', 3) float, optional
-        Linear RGB to show in place of the restored colours.
-    hidden : (H, W) bool, optional
-        Pixels of which no point is made.
+    Four bytes hold the length of a JSON text, with ``facts``, little-endian. After it come depth and error bar, each
+    (h, w) uint16, and the colours, the restored ones unless others are given (linear RGB), as JPEG. A count c of a map
+    means c * step mm, and 0 unknown. Frames of a camera without a calibration have disparity instead, offset by
+    ``first``: value = first + c * step. At the end is a bit for each pixel that is no point, where ``hidden``, (H, W)
+    bool, says so. ``size`` is width and height of the maps, by default the frame's, or what fits into `LARGEST_PX`.
     """
     size = size or min(fitted_size(frame.disparity_px.shape, LARGEST_PX), frame.disparity_px.shape[1::-1])
     depth, depth_colors, _ = depth_scale(frame)
@@ -69,13 +58,9 @@ def pack_frame(
 
 
 def to_counts(values: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Divide a map into counts from 1 to `MOST_COUNT`; 0 where it is unknown.
+    """Divide a map into counts from 1 to `MOST_COUNT`, (h, w) uint16; 0 where it is unknown.
 
-    Returns
-    -------
-    counts : (h, w) uint16
-    first, step : float
-        The value of a count c is first + c * step.
+    Returned with them are first and step: the value of a count c is first + c * step.
     """
     known = np.isfinite(values)
     if not known.any():

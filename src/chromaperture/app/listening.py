@@ -61,24 +61,9 @@ def make_server(
 ) -> Any:
     """Return a server; its ``run`` serves until Ctrl-C, or until its ``should_exit`` is set.
 
-    Parameters
-    ----------
-    application : callable
-        From `make_app` or `make_live_app`.
-    host : str
-    port : int
-    ports : int
-        Of so many from ``port`` on the first free one is taken, which is the server's ``port``.
-    certificate : (Path, Path), optional
-        Certificate and key, for https.
-    ready : callable, optional
-        Called when the server can be reached.
-
-    Raises
-    ------
-    InputError
-        Nothing can be served there.
-    MissingDependencyError
+    Of so many ``ports`` from ``port`` on the first free one is taken, which is the server's ``port``. ``certificate``
+    is a certificate and its key, for https; ``ready`` is called when the server can be reached. Raises InputError where
+    nothing can be served, MissingDependencyError without the extra.
     """
     require_extra()
     import uvicorn

@@ -17,19 +17,10 @@ _LEVEL = 6  # of deflate; 9 takes three times as long and gains 2 % on the field
 
 
 def pack_array(values: np.ndarray) -> bytes:
-    """Return the bits of an array of 32-bit numbers, second differences of neighbours, byte plane after byte plane.
+    """Return an array of 32-bit numbers, deflated: second differences of neighbours, byte plane after byte plane.
 
     Of a smooth map the bits of neighbours, taken for whole numbers, grow almost evenly, so that their second
     differences are small and three of four bytes are nearly always 0. ``plan.js`` has the inverse.
-
-    Parameters
-    ----------
-    values : float32, int32 or uint32 array
-
-    Returns
-    -------
-    bytes
-        Deflated (zlib).
     """
     bits = np.ascontiguousarray(values).ravel().view(np.uint32)
     twice = np.diff(np.diff(bits, prepend=np.uint32(0)), prepend=np.uint32(0)).view(np.int32)  # they wrap around

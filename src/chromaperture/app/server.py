@@ -323,14 +323,7 @@ def make_app(
 ) -> Gate:
     """Put the server's application together, behind its checks; raises MissingDependencyError.
 
-    Parameters
-    ----------
-    workbench : Workbench
-    access : Access
-    certificate : Path, optional
-        Offered to phones.
-    feeds : sequence of CameraFeed
-        Cameras of the computer that the assistant may use.
+    The certificate is offered to phones; ``feeds`` are the computer's cameras that the assistant may use.
     """
     require_extra()
     from starlette.applications import Starlette

@@ -47,44 +47,22 @@ _EDGE_PX = 4  # corners nearer to the frame's edge are probably cut off
 
 @dataclass(frozen=True)
 class Reading:
-    """What one photograph of the board tells; px are those of `Session.sensor`.
+    """What one photograph of the board tells; px are those of `Session.sensor`."""
 
-    Attributes
-    ----------
-    ruler_mm : float or None
-        None for a tilted board.
-    width_px : int
-        Of the pictures that px are of: `Session` reduces large photographs the more, the nearer its boards are.
-    corners_px : (N, 2) float or None
-    pose_mm : float
-        Distance of the board's middle from the sensor plane by its corners and the engraved focal length.
-    lean_deg : (float, float)
-        How far its left edge, and its top, lean towards the camera.
-    disparity_px, disparity_sigma_px : float
-        Of the middle of the frame; NaN for a tilted board.
-    pixel_sigma_px : float
-        Scatter of single pixels of disparity.
-    blur_px : (float, float)
-        Along x and y.
-    exposure : float or None
-        Of a sheet at two exposures: ms as typed, or time, gain and f-number together as the file states them.
-    is_exposure_typed : bool
-    tone : tuple of (level, exponent)
-        What it told together with another one, see `calibration.tone_curve.ToneCurve`; empty for the first one.
-    """
-
-    ruler_mm: float | None = None
-    width_px: int = 0
-    corners_px: np.ndarray | None = None
-    pose_mm: float = float("nan")
-    lean_deg: tuple[float, float] = (float("nan"), float("nan"))
-    disparity_px: float = float("nan")
+    ruler_mm: float | None = None  # None for a tilted board
+    width_px: int = (
+        0  # of the pictures that px are of: `Session` reduces large ones the more, the nearer its boards are
+    )
+    corners_px: np.ndarray | None = None  # (N, 2) float
+    pose_mm: float = float("nan")  # of the board's middle from the sensor plane, by corners and engraved focal length
+    lean_deg: tuple[float, float] = (float("nan"), float("nan"))  # of its left edge, and its top, towards the camera
+    disparity_px: float = float("nan")  # of the middle of the frame; NaN for a tilted board
     disparity_sigma_px: float = float("nan")
-    pixel_sigma_px: float = float("nan")
-    blur_px: tuple[float, float] = (float("nan"), float("nan"))
-    exposure: float | None = None
+    pixel_sigma_px: float = float("nan")  # scatter of single pixels of disparity
+    blur_px: tuple[float, float] = (float("nan"), float("nan"))  # along x and y
+    exposure: float | None = None  # of a sheet at two: ms as typed, or time, gain, f-number together by the file
     is_exposure_typed: bool = False
-    tone: tuple[tuple[float, float], ...] = ()
+    tone: tuple[tuple[float, float], ...] = ()  # (level, exponent) by two sheets, see `ToneCurve`; empty for the first
 
     def at_width(self, width_px: int) -> Reading:
         """Return the reading in px of pictures of another width."""
@@ -120,21 +98,10 @@ def check_board(
     notes: Sequence[str] = (),
     curve: DepthModel | None = None,
 ) -> CheckedShot:
-    """Check a photograph of the board square to the axis.
+    """Check a photograph, (H, W, 3) float32 from `Session.read`, of the board square to the axis.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32
-        From `Session.read`.
-    session : Session
-    ruler_mm : float
-        From the sensor plane.
-    range_mm : (near, far)
-        Between which disparities are searched.
-    notes : sequence of str
-        What reading the file warned of.
-    curve : DepthModel, optional
-        Fitted to the earlier boards; the engraved lens's when there are too few.
+    ``ruler_mm`` is from the sensor plane; disparities are searched between the ends of ``range_mm``; ``notes`` are what
+    reading the file warned of; ``curve`` was fitted to the earlier boards, the engraved lens's where they are too few.
     """
     checks = [_exposure(image), *_file(notes)]
     corners = find_corners(image[..., 1], session.inner_corners)

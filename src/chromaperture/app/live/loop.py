@@ -158,10 +158,7 @@ class LiveLoop:
     def record(self, folder: str | Path) -> None:
         """Start recording, without slowing the loop; a nearly full disk ends the recording, not the loop.
 
-        Raises
-        ------
-        InputError
-            Less of the disk is free than recordings leave.
+        Raises InputError where less of the disk is free than recordings leave.
         """
         with self._starting:
             if self.recording:

@@ -27,14 +27,8 @@ _START_S, _END_S = 20.0, 5.0  # for the server; chosen by hand
 class LivePage:
     """A view of a loop and the server of its page, at ``url``, which holds a random token.
 
-    The port, or the next free one, is taken.
-
-    Raises
-    ------
-    InputError
-        Nothing can be served on this host.
-    MissingDependencyError
-        The extra ``serve`` is not installed.
+    The port, or the next free one, is taken; raises InputError where nothing can be served on this host,
+    MissingDependencyError without the extra ``serve``.
     """
 
     def __init__(
