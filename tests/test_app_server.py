@@ -20,8 +20,8 @@ import pytest
 
 from apps import TOKEN, free_port, served, write_y4m
 from chromaperture.app import certificate as kept
-from chromaperture.app.frame_message import MOST_COUNT, pack_frame, to_counts
 from chromaperture.app.icons import ICONS, STATIC, draw_icon
+from chromaperture.app.messages import MOST_COUNT, pack_frame, to_counts
 from chromaperture.app.server import safe_name, static_files
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.encoding import Encoding

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from chromaperture.app.device_plan import color_tables, light_of_counts, make_plan, make_points
-from chromaperture.app.packed_arrays import pack_array, unpack_array
+from chromaperture.app.messages import pack_array, unpack_array
 from chromaperture.app.workbench import Workbench
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from chromaperture.app.assistant import check_shot, shown_check, state
 from chromaperture.app.calibration_job import CalibrationJob
-from chromaperture.app.camera_answers import CameraAnswers
-from chromaperture.app.camera_feed import write_frame
+from chromaperture.app.camera_feed import CameraAnswers, write_frame
 from chromaperture.app.free_space import require_space
 from chromaperture.app.session_folder import Holding, Kind, SessionFolder
 from chromaperture.app.workbench import NAME, Workbench

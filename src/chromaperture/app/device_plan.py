@@ -11,8 +11,8 @@ from typing import Any, get_args
 
 import numpy as np
 
+from chromaperture.app.messages import Packing
 from chromaperture.app.notes import heard
-from chromaperture.app.packed_arrays import Packing
 from chromaperture.camera.alignment import channel_shifts
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.capture.checks import all_black

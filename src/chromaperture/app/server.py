@@ -15,13 +15,12 @@ from typing import Any, TypeVar
 import cv2
 
 from chromaperture.app.assistant_answers import AssistantAnswers
-from chromaperture.app.camera_answers import CameraAnswers
-from chromaperture.app.camera_feed import CameraFeed
+from chromaperture.app.camera_feed import CameraAnswers, CameraFeed
 from chromaperture.app.device_plan import color_tables
-from chromaperture.app.frame_message import pack_frame
 from chromaperture.app.free_space import require_space
 from chromaperture.app.gate import Access, Gate, Refused, save_body
 from chromaperture.app.listening import require_extra
+from chromaperture.app.messages import pack_frame
 from chromaperture.app.workbench import DEPTH_INSIDE, Workbench
 from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.optics.aperture import DESIGNS

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.app.frame_message import pack_frame
 from chromaperture.app.free_space import require_space
 from chromaperture.app.live.loop import LiveLoop, Measured
-from chromaperture.app.packed_arrays import Packing
+from chromaperture.app.messages import Packing, pack_frame
 from chromaperture.camera.camera import CodedApertureCamera, DepthFrame
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
 from chromaperture.effects.edge_aware import filter_disparity

@@ -20,7 +20,7 @@ export class ServerMeasurer {
   close() {}
 }
 
-// The message that app/frame_message.py packs: JSON, depth and error bar in counts, colours as JPEG.
+// The message that app/messages.py packs: JSON, depth and error bar in counts, colours as JPEG.
 export async function unpack(buffer, camera, quality) {
   const length = new DataView(buffer).getUint32(0, true);
   const facts = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
