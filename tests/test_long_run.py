@@ -164,7 +164,7 @@ def test_a_watchdog_without_end_says_nothing_and_one_without_patience_is_refused
 @pytest.mark.extra("serve", "starlette")
 def test_the_page_names_the_stage_that_hangs_although_no_frame_comes(tmp_path):
     from chromaperture.app.live.page import LivePage
-    from test_live_page import newest, post
+    from test_live_page import post
 
     source = Camera()
     with watched(source) as (loop, _):
@@ -172,7 +172,7 @@ def test_the_page_names_the_stage_that_hangs_although_no_frame_comes(tmp_path):
         drawing = threading.Thread(target=page.run, daemon=True)
         drawing.start()
         try:
-            newest(page)
+            until(lambda: page.view.last is not None)
             source.gate.clear()
             until(lambda: any("source has not finished for" in line for line in post(page, "focus")[1]["hanging"]))
             source.gate.set()
