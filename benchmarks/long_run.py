@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import http.client
 import importlib.util
 import json
 import os
@@ -45,12 +46,12 @@ PAUSE_S = 0.002  # between two frames: the loop drops what it cannot measure
 TROUBLE_EVERY = 60  # frames between two troubles on average: one in two seconds of the camera's clock
 SILENCE_S, RETRY_S, STALL_S = 0.2, 0.02, 0.3  # so short that hundreds of losses fit into minutes
 WATCHDOG_S = 5.0  # no stage takes so long here, unless it hangs
-COLUMNS = ("seconds", "memory_mb", "handles", "threads", "queued", "messages", "blocks", "frames")
+COLUMNS = ("seconds", "memory_mb", "handles", "threads", "queued", "connections", "blocks", "frames")
 # Growth in the observed time that counts as flat. Memory: 8 MB or 2 %, since the allocator scatters by 1 % (measured in
 # docs/reconstruction.md) and one picture of 115 KB kept at every trouble would exceed it within a hundred troubles.
 # Blocks: 5000 or 2 %, caches included. The others are whole things, hundreds of which are made and ended: a leak of one
 # each would exceed them at once.
-LIMITS = {"memory_mb": 8.0, "handles": 3.0, "threads": 3.0, "queued": 1.0, "messages": 20.0, "blocks": 5000.0}
+LIMITS = {"memory_mb": 8.0, "handles": 3.0, "threads": 3.0, "queued": 1.0, "connections": 3.0, "blocks": 5000.0}
 MEMORY_PART, PARTS = 0.02, 20
 
 
@@ -149,7 +150,7 @@ class World:
 
 
 class Visitors:
-    """Browsers without a screen, some at a time, in a thread of their own."""
+    """Browsers without a screen, in a thread of their own."""
 
     def __init__(self, page: LivePage, seed: int) -> None:
         self._page, self._random, self._leave = page, random.Random(seed), threading.Event()
@@ -162,91 +163,58 @@ class Visitors:
         self._thread.join(timeout=30)  # s: longer than any step below
 
     def _run(self) -> None:
-        present: list[Any] = []
         while not self._leave.wait(self._random.uniform(0.05, 0.3)):
             try:
-                self._step(present)
-            except Exception as error:  # as one whose nonsense the server hung up on: somebody leaves
+                self._step()
+            except Exception as error:  # as one whose nonsense the server hung up on
                 self.did[f"failed: {type(error).__name__}"] += 1
-                if present:
-                    present.pop().close()
-        for connection in present:
-            with contextlib.suppress(Exception):
-                connection.close()
 
-    def _step(self, present: list[Any]) -> None:
-        page = self._page
-        kind = self._random.choice(["come", "leave", "die", "click", "click", "slide", "nonsense", "stranger", "read"])
-        if not present or (kind == "come" and len(present) < 4):
-            present.append(self._connected())
-            kind = "come"
-        elif kind == "leave":
-            present.pop(0).close()
-        elif kind == "die":
-            gone = present.pop(0)
-            gone.socket.shutdown(socket.SHUT_RDWR)
-            with contextlib.suppress(Exception):
-                while True:  # its thread, which may wait for room for another message, comes to the end and closes it
-                    gone.recv(timeout=1.0)
+    def _step(self) -> None:
+        kind = self._random.choice(["look", "look", "look", "die", "click", "click", "slide", "nonsense", "stranger"])
+        if kind == "die":  # in the middle of an answer
+            where = f"/{self._page.access.token}/api/live/frame?after=0"
+            self._raw(f"GET {where} HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n".encode())
         elif kind == "nonsense":
-            self._random.choice(present).send(os.urandom(30))
+            self._raw(os.urandom(30) + b"\r\n\r\n")
         elif kind == "stranger":  # a scan of the port, which leaves in the middle
-            with socket.create_connection(("127.0.0.1", page.server.get_port()), timeout=5) as scan:
-                scan.sendall(b"GET / HTTP/1.1\r\nHo")
+            self._raw(b"GET / HTTP/1.1\r\nHo", read=False)
         elif kind == "slide":
-            slider = self._random.choice([page.near, page.far, page.max_sigma, page.focus, page.pupil, page.refocus])
-            value = self._random.choice([0, -1, 1e9, "far", None, 1500.0, 30.0, True, False])
-            self._press(self._random.choice(present), slider, value)
+            value, pupil = (self._random.choice([0, -1, 1e9, "far", "nan", 1500.0, 2.0]) for _ in range(2))
+            self._ask("POST", f"focus?distance_mm={value}&pupil={pupil}" if self._random.random() < 0.7 else "focus")
         elif kind == "click":
-            button = self._random.choice([page.record, page.record, page.pause, page.shot])
-            self._press(self._random.choice(present), button, True)
-            kind = f"click {button.label}"
+            buttons = ["record?on=1", "record?on=0", "pause?on=1", "pause?on=0", "snapshot?percent=10"]
+            what = self._random.choice(buttons)
+            self._ask("POST", what)
+            kind = f"click {what}"
         else:
-            for connection in present:
-                with contextlib.suppress(TimeoutError):
-                    while True:
-                        connection.recv(timeout=0.0)
+            for what in ("frame?after=0", "state", "mesh"):
+                self._ask("GET", what)
         self.did[kind] += 1
 
-    def _connected(self) -> Any:
-        import viser
-        from websockets.sync.client import connect
+    def _ask(self, method: str, what: str) -> None:
+        connection = http.client.HTTPConnection("127.0.0.1", self._page.port, timeout=10)
+        with contextlib.closing(connection):
+            connection.request(method, f"/{self._page.access.token}/api/live/{what}")
+            connection.getresponse().read()
 
-        where = f"ws://127.0.0.1:{self._page.server.get_port()}/{self._page.access.token}"
-        versions = [f"viser-v{viser.__version__}"]
-        calm = {"ping_interval": None, "close_timeout": 0.5}  # s; the server pings, and hangs up on who does not read
-        connection = connect(where, subprotocols=versions, max_size=None, **calm)
-        view = {"wxyz": (1, 0, 0, 0), "position": (0, 0, -1), "look_at": (0, 0, 1), "up_direction": (0, -1, 0)}
-        lens = {"fov": 1.0, "near": 0.01, "far": 100.0, "image_height": 480, "image_width": 640}
-        self._send(connection, "ViewerCameraMessage", **view, **lens)
-        return connection
-
-    def _press(self, connection: Any, control: Any, value: object) -> None:
-        self._send(connection, "GuiUpdateMessage", uuid=control._impl.uuid, updates={"value": value})
-
-    @staticmethod
-    def _send(connection: Any, kind: str, **fields: Any) -> None:
-        import msgspec
-
-        connection.send(msgspec.msgpack.encode({"type": kind, **fields}))
+    def _raw(self, data: bytes, *, read: bool = True) -> None:
+        with socket.create_connection(("127.0.0.1", self._page.port), timeout=5) as connection:
+            connection.sendall(data)
+            if read:
+                connection.recv(100)
 
 
 def sample(loop: LiveLoop, page: LivePage | None, seconds: float) -> tuple[float, ...]:
     """One row of the curves, in the order of COLUMNS."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
-    messages = 0
-    if page is not None:
-        clients = page.server.get_clients().values()
-        buffers = [each._websock_connection.get_message_buffer() for each in (*clients,)]
-        buffers.append(page.server._websock_server.get_message_buffer())
-        messages = sum(len(buffer.message_from_id) for buffer in buffers)
+    connections = 0 if page is None else len(page._server.server_state.connections)
     return (
         seconds,
         pages * os.sysconf("SC_PAGE_SIZE") / 2**20,
         len(os.listdir("/proc/self/fd")),
         threading.active_count(),
         loop.queued,
-        messages,
+        connections,
         sys.getallocatedblocks(),  # gc.get_objects() would break tuples that another thread is making
         loop.meters["depth"].count,
     )
@@ -379,7 +347,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder for long_run.csv and long_run.png")
     args = parser.parse_args()
 
-    page_shown = not args.no_page and importlib.util.find_spec("viser") is not None
+    page_shown = not args.no_page and importlib.util.find_spec("starlette") is not None
     with tempfile.TemporaryDirectory() as folder:
         shown = {"page_shown": page_shown, "model": args.model, "folder": Path(folder)}
         rows, facts = run(args.seconds, **shown, seed=args.seed, device=args.device)

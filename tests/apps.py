@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
-from chromaperture.app.live.access import Access
+from chromaperture.app.gate import Access
 from chromaperture.app.workbench import Workbench
 from chromaperture.color.srgb import linear_to_srgb_bytes
 

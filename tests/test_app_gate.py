@@ -7,8 +7,7 @@ import time
 
 import pytest
 
-from chromaperture.app.gate import MOST_BODY_BYTES, MOST_UPLOADS, Gate, Refused
-from chromaperture.app.live.access import Access
+from chromaperture.app.gate import MOST_BODY_BYTES, MOST_UPLOADS, Access, Gate, Refused
 from chromaperture.app.server import safe_name
 
 TOKEN = "right-token-of-the-test"

@@ -20,8 +20,8 @@ import pytest
 
 from apps import TOKEN, free_port, served, write_y4m
 from chromaperture.app import certificate as kept
-from chromaperture.app.frame_message import MOST_COUNT, pack_frame, to_counts
 from chromaperture.app.icons import ICONS, STATIC, draw_icon
+from chromaperture.app.messages import MOST_COUNT, pack_frame, to_counts
 from chromaperture.app.server import safe_name, static_files
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.encoding import Encoding
@@ -309,8 +309,8 @@ def test_the_certificate_is_made_once_and_anew_for_another_address(tmp_path):
 def test_a_browser_that_trusts_the_certificate_is_answered_by_https(tmp_path):
     import threading
 
+    from chromaperture.app.gate import Access
     from chromaperture.app.listening import make_server
-    from chromaperture.app.live.access import Access
     from chromaperture.app.server import make_app
     from chromaperture.app.workbench import Workbench
 

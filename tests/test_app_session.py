@@ -12,10 +12,9 @@ import pytest
 from apps import FACTS
 from chromaperture.app.assistant import advice, best_gain, check_shot, frame_cells, lens_of, sheets_of, state
 from chromaperture.app.calibration_job import CalibrationJob
-from chromaperture.app.edge_blur import edge_blur
 from chromaperture.app.forecast import curve_sigma
 from chromaperture.app.session_folder import MOST_SHOTS, Holding, SessionFolder, Shot
-from chromaperture.app.shot_checks import Reading
+from chromaperture.app.shot_checks import Reading, edge_blur
 from chromaperture.app.workbench import Workbench
 from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.calibration_config import CalibrationConfig

@@ -14,7 +14,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 
-from chromaperture.app.live.pictures import depth_picture
+from chromaperture.app.device_plan import color_tables
 from chromaperture.color.color_maps import DIFFERENCE, DISTANCE, ERROR, OTHER, UNKNOWN, color_map, draw_levels
 from chromaperture.evaluation.figures import plain_log_scale, show_image
 from chromaperture.frame.preview import write_preview
@@ -47,7 +47,8 @@ def is_warm(color: np.ndarray) -> bool:
 def test_near_is_warm_and_unknown_is_grey_in_pages_and_in_figures():
     depth = np.full((40, 60), np.nan, np.float32)
     depth[:, :20], depth[:, 20:40] = 1100, 3000
-    page = depth_picture(depth, near_mm=1000, far_mm=4000).astype(int)
+    levels = np.where(np.isnan(depth), 256, np.nan_to_num(depth - 1000) * 256 / 3000).astype(int)
+    page = color_tables()[0][levels].astype(int)
     figure = Figure()
     axes = figure.subplots()
     shown = show_image(axes, depth, colors=DISTANCE, vmin=1000, vmax=4000)

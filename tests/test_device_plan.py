@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from chromaperture.app.device_plan import color_tables, light_of_counts, make_plan, make_points
-from chromaperture.app.packed_arrays import pack_array, unpack_array
+from chromaperture.app.messages import pack_array, unpack_array
 from chromaperture.app.workbench import Workbench
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
@@ -119,7 +119,7 @@ def test_paths_are_those_that_the_device_can(camera, exchange, has_quads):
 
 
 def test_points_are_those_of_the_command_line(camera):
-    text, array = unpacked(make_points(camera))
+    text, array = unpacked(make_points(camera.calibration, camera.config.quality))
     points = text["points"]
     rays = array(points["rays"]).reshape(points["rows"], points["columns"], 2)
     depth = np.full(SIZE_PX[::-1], 2000.0, np.float32)

@@ -9,17 +9,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_rgb
 
-from chromaperture.app.live.loop import LiveLoop
-from chromaperture.app.live.pictures import depth_picture
+from chromaperture.app.live.loop import LiveLoop, Trail
 from chromaperture.app.live.slots import Slot
-from chromaperture.app.live.trail import Trail
 from chromaperture.camera.camera import load_camera
 from chromaperture.capture.recording import Recorder, ReplaySource
 from chromaperture.capture.source import Event, FileSource, Frame
 from chromaperture.capture.threaded_source import DeviceLostError, LiveSource
-from chromaperture.color.color_maps import UNKNOWN
 from chromaperture.color.encoding import Encoding
 from chromaperture.products.samples import sample_camera, sample_image
 from chromaperture.system.errors import InputError
@@ -343,17 +339,6 @@ def test_no_recording_begins_on_a_disk_that_is_nearly_full(tmp_path, monkeypatch
             loop.record(tmp_path / "take")
         assert not loop.recording
     assert not (tmp_path / "take").exists()
-
-
-def test_depth_is_drawn_with_a_bar_of_the_same_colours():
-    height, far, near = 101, 4000.0, 1000.0
-    rows = np.linspace(1 / near, 1 / far, height)  # even in 1 / distance, as the bar is
-    depth = np.repeat(1 / rows[:, None], 20, axis=1).astype(np.float32)
-    depth[:, 0] = np.nan
-    picture = depth_picture(depth, near_mm=near, far_mm=far)
-    unknown = np.rint(255 * np.array(to_rgb(UNKNOWN)))
-    assert (picture[:, 0] == unknown).all()
-    np.testing.assert_allclose(picture[:, 10].astype(int), picture[:, 25].astype(int), atol=12)  # a level or two
 
 
 def test_the_path_is_as_long_as_the_session_and_its_memory_is_not():

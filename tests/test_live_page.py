@@ -1,19 +1,19 @@
-"""The page in the browser: only its owner gets in, and nothing that a browser sends ends the loop."""
+"""The page of the live loop: only its owner gets in, what it shows, and nothing that a browser sends ends the loop."""
 
 from __future__ import annotations
 
+import base64
 import contextlib
-import gc
+import http.client
+import json
+import math
 import shutil
 import socket
-import struct
 import threading
 import time
-import urllib.error
-import urllib.request
 import weakref
-from base64 import b64decode
 from types import SimpleNamespace
+from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
@@ -21,22 +21,29 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chromaperture.app.live.access import Access, serve
-from chromaperture.app.live.controls import ControlLimits, Limits
-from chromaperture.app.live.live_scene import first_view
+from apps import BROWSER_TESTS, DESKTOP, PHONE, chromium, pages
+from chromaperture.app.gate import Access
+from chromaperture.app.listening import bound
 from chromaperture.app.live.loop import LiveLoop
-from chromaperture.app.live.page import LivePage, depth_line, tracking_line
-from chromaperture.app.live.probe import encode_values, values_html
+from chromaperture.app.live.page import LivePage
+from chromaperture.app.live.view import ControlLimits, Limits, LiveView, tracking_line
 from chromaperture.camera.camera import load_camera
 from chromaperture.capture.files import read_image
 from chromaperture.capture.source import FileSource, Frame
 from chromaperture.color.encoding import Encoding
+from chromaperture.depth.error_limit import within_error
 from chromaperture.products.samples import sample_camera, sample_image
+from chromaperture.reconstruction.clean_views import near_steps
 from chromaperture.reconstruction.fusion import Placed
+from chromaperture.reconstruction.volume import Mesh
 from chromaperture.system.errors import InputError
+from test_app_page import FAULTS
+from test_app_server import unpack
+from test_device_plan import unpacked
 
 WAIT_S = 60.0  # an upper bound for a busy machine; nothing waits so long
 NAME = "still_life_cy_halves"
+SERVER = pytest.mark.extra("serve", "starlette")
 
 anything = st.one_of(
     st.floats(), st.integers(), st.text(), st.none(), st.booleans(), st.lists(st.integers()), st.just(10**400)
@@ -73,14 +80,14 @@ def until(condition) -> None:
 
 @contextlib.contextmanager
 def served(folder, **options):
-    """A page that draws the sample; yields it and the lines said."""
+    """A page that shows the sample; yields it and the lines said."""
     said: list[str] = []
     with LiveLoop(Still(), load_camera(sample_camera(NAME)), track=False, listener=said.append, **options) as loop:
         page = LivePage(loop, host="127.0.0.1", port=0, out=folder)
         drawing = threading.Thread(target=page.run, daemon=True)
         drawing.start()
         try:
-            until(lambda: page.last is not None)
+            until(lambda: page.view.last is not None)
             yield page, said
             assert drawing.is_alive()
             assert loop.failure is None
@@ -90,54 +97,37 @@ def served(folder, **options):
             page.close()
 
 
-def status(url: str, **headers: str) -> int:
+def ask(page: LivePage, path: str = "", *, method: str = "GET", token: str | None = None, **headers: str):
+    """One request; returns status, body and headers."""
+    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=WAIT_S)
     try:
-        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=WAIT_S) as answer:
-            return answer.status
-    except urllib.error.HTTPError as refused:
-        refused.close()
-        return refused.code
+        connection.request(method, f"/{page.access.token if token is None else token}/{path}", None, headers)
+        answer = connection.getresponse()
+        return answer.status, answer.read(), answer.headers
+    finally:
+        connection.close()
 
 
-def browser(page: LivePage, path: str | None = None, name: str = "127.0.0.1", **options):
-    """Connect as the page's script does, or with another path, name of the server, or headers."""
-    import viser
-    from websockets.sync.client import connect
-
-    port = page.server.get_port()
-    where = f"ws://{name}:{port}/{page.access.token if path is None else path}"
-    versions = [f"viser-v{viser.__version__}"]
-    reached = socket.create_connection(("127.0.0.1", port))
-    return connect(where, subprotocols=versions, sock=reached, max_size=None, **options)
+def post(page: LivePage, path: str) -> tuple[int, dict]:
+    status, body, _ = ask(page, f"api/live/{path}", method="POST")
+    return status, json.loads(body)
 
 
-def send(connection, message: dict) -> None:
-    import msgspec
-
-    connection.send(msgspec.msgpack.encode(message))
-
-
-def look(page: LivePage, connection) -> None:
-    """Say where the browser looks from: it counts as connected then."""
-    camera = {
-        "type": "ViewerCameraMessage",
-        "wxyz": (1, 0, 0, 0),
-        "position": (0, 0, -1),
-        "fov": 1.0,
-        "near": 0.01,
-        "far": 100.0,
-        "image_height": 480,
-        "image_width": 640,
-        "look_at": (0, 0, 1),
-        "up_direction": (0, -1, 0),
-    }
-    before = set(page.server.get_clients())  # one of these may leave while this one comes
-    send(connection, camera)
-    until(lambda: set(page.server.get_clients()) - before)
+def newest(page: LivePage, after: int = 0) -> bytes:
+    """The next frame's message."""
+    end = time.monotonic() + WAIT_S
+    while time.monotonic() < end:
+        status, body, _ = ask(page, f"api/live/frame?after={after}")
+        if status == 200:
+            return body
+        assert status == 204
+    raise AssertionError("no frame comes")
 
 
-def set_value(connection, control, value: object) -> None:
-    send(connection, {"type": "GuiUpdateMessage", "uuid": control._impl.uuid, "updates": {"value": value}})
+def cube() -> Mesh:
+    """Some triangles before the camera."""
+    points = np.random.default_rng(1).normal((0, 0, 1500), 200, (3000, 3)).astype(np.float32)
+    return Mesh(points, np.arange(3000, dtype=np.int32).reshape(-1, 3), np.full((3000, 3), (250, 10, 250), np.uint8))
 
 
 OWN = "127.0.0.1:8080"
@@ -200,77 +190,51 @@ def test_every_run_has_a_token_of_its_own_and_prints_an_address_that_can_be_open
     assert Access("::1", "t").url(80) == "http://[::1]:80/t/"
 
 
-@pytest.mark.extra("viewer", "viser")
+@SERVER
 def test_the_server_answers_its_owner_only(tmp_path):
-    from websockets.exceptions import InvalidStatus
-
     with served(tmp_path) as (page, _):
-        root = f"http://127.0.0.1:{page.server.get_port()}"
-        port = page.server.get_port()
-        assert status(page.url) == 200
-        assert status(f"{root}/") == status(f"{root}/index.html") == status(f"{root}/wrong/") == 403
-        assert status(page.url, Host="evil.example") == 403
-        assert status(page.url, Origin="http://evil.example") == 403
-        with urllib.request.urlopen(page.url, timeout=WAIT_S) as answer:
-            headers = answer.headers
+        own = f"http://127.0.0.1:{page.port}"
+        assert ask(page)[0] == ask(page, Origin=own)[0] == 200
+        for path in ("", "index.html", "api/live/frame?after=0", "api/live/state"):
+            assert ask(page, path, token="wrong")[0] == 403
+        for refused in ({"Host": "evil.example"}, {"Origin": "http://evil.example"},
+                        {"Origin": f"http://127.0.0.1:{page.port + 1}"}, {"Sec-Fetch-Site": "cross-site"}):  # fmt: skip
+            assert ask(page, "api/live/record?on=1", method="POST", **refused)[0] == 403
+        upgrade = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+        assert ask(page, **upgrade)[0] == 200  # the page: there is no WebSocket
+        assert not page.loop.recording
+        assert urlsplit(page.url).path == f"/{page.access.token}/"
+
+
+@SERVER
+def test_the_page_may_load_and_connect_to_nothing_else(tmp_path):
+    with served(tmp_path) as (page, _):
+        status, content, headers = ask(page)
+        assert status == 200
+        assert b"<html data-live" in content
         assert headers["Referrer-Policy"] == "no-referrer"  # the address is a secret
         assert headers["X-Frame-Options"] == "DENY"
-        for refused in (
-            {"path": ""},
-            {"path": "wrong"},
-            {"origin": "http://evil.example"},
-            {"origin": f"http://127.0.0.1:{port + 1}"},
-            {"name": "evil.example"},  # a name that leads here: DNS rebinding
-        ):
-            with pytest.raises(InvalidStatus) as found:
-                browser(page, **refused)
-            assert found.value.response.status_code == 403
-        assert page.server.get_clients() == {}
-        with browser(page, origin=root) as own:
-            look(page, own)
-            assert own.recv(timeout=WAIT_S)
-        assert page.server.request_share_url() is None  # nothing is published
-
-
-@pytest.mark.extra("viewer", "viser")
-def test_the_page_may_load_and_connect_to_nothing_else(tmp_path):
-    """viser writes the address, with the token, behind "?websocket=" in the address bar: it must not leave the page."""
-    with served(tmp_path) as (page, _):
-        with urllib.request.urlopen(f"{page.url}?websocket=ws://evil.example/", timeout=WAIT_S) as answer:
-            headers = answer.headers
-        assert headers["Referrer-Policy"] == "no-referrer"
         parts = [part.split() for part in headers["Content-Security-Policy"].split(";")]
         rules = {name: set(allowed) for name, *allowed in parts}
-        assert rules["default-src"] == {"'none'"}  # what has no rule of its own: media, objects, frames
+        assert rules["default-src"] == {"'none'"}  # what has no rule of its own: objects, frames
         assert rules["frame-ancestors"] == rules["base-uri"] == rules["form-action"] == {"'none'"}
-        own = {"'self'", "'none'", "'unsafe-inline'", "'unsafe-eval'", "blob:", "data:"}
-        assert set().union(*rules.values()) <= own  # no name of a server, no scheme that reaches one
-        assert rules["connect-src"] == {"'self'", "blob:", "data:"}
+        assert rules["script-src"] == rules["connect-src"] == {"'self'"}
+        assert set().union(*rules.values()) <= {"'self'", "'none'", "blob:", "data:"}  # no name of a server
+        assert ask(page, "../api/live/state")[0] == 404
+        assert ask(page, "api/photos", method="POST")[0] in (404, 405)  # the app's other parts are not there
 
 
-@pytest.mark.extra("viewer", "viser")
-def test_a_server_whose_requests_cannot_be_checked_is_not_left_running(monkeypatch):
-    import viser
-
-    stopped = threading.Event()
-
-    class Unchecked:
-        def __init__(self, **options: object) -> None:
-            pass
-
-        def stop(self) -> None:
-            stopped.set()
-
-    monkeypatch.setattr(viser, "ViserServer", Unchecked)
-    with pytest.raises(InputError, match="install viser"):
-        serve(Access("127.0.0.1"), 0, listener=print)
-    assert stopped.is_set()
-
-
-@pytest.mark.extra("viewer", "viser")
-def test_an_address_of_another_machine_is_refused_at_once():
+def test_an_address_of_another_machine_is_refused_at_once_and_the_next_free_port_is_taken():
     with pytest.raises(InputError, match="--host"):
-        serve(Access("203.0.113.7"), 0, listener=print)  # reserved for documentation: nobody has it
+        bound("203.0.113.7", 0)  # reserved for documentation: nobody has it
+    with bound("127.0.0.1", 0) as first:
+        port = first.getsockname()[1]
+        with pytest.raises(InputError, match="--port"):
+            bound("127.0.0.1", port)
+        with bound("127.0.0.1", port, ports=100) as second:
+            assert port < second.getsockname()[1] < port + 100
+    with pytest.raises(InputError, match="--port"):
+        bound("127.0.0.1", 70000, ports=100)
 
 
 @given(anything)
@@ -285,122 +249,115 @@ def test_every_value_of_a_page_is_brought_within_its_limits(value):
         assert found == 20
 
 
-@given(st.floats(0.5, 1e5), st.floats(1.001, 1e3), st.floats(0, 1e6) | st.just(np.inf), anything, anything)
-def test_distances_are_positive_and_apart_for_every_camera_and_every_value(nearest, ratio, sigma, near, far):
+@given(st.floats(0.5, 1e5), st.floats(1.001, 1e3), st.floats(0, 1e6) | st.just(np.inf))
+def test_limits_are_in_order_for_every_camera(nearest, ratio, sigma):
     limits = ControlLimits.of_camera(nearest, nearest * ratio, sigma)
     for control in (limits.near, limits.far, limits.focus, limits.percent, limits.pupil):
-        assert 0 < control.lowest <= control.initial <= control.highest < np.inf  # viser requires it
-    near_mm, far_mm = limits.distances(near, far)
-    assert 0 < near_mm < far_mm
+        assert 0 < control.lowest <= control.initial <= control.highest < np.inf
 
 
-@pytest.mark.extra("viewer", "viser")
-@pytest.mark.parametrize("value", [0, -1, 10**18, float("nan"), float("inf"), "far away", None, [1, 2], {}])
-def test_no_value_ends_the_page(tmp_path, value):
-    with served(tmp_path) as (page, said), browser(page) as own:
-        look(page, own)
-        shown = page.loop.meters["view"].count
-        page.refocus.value = True  # so that all values are used
-        for control in (page.near, page.far, page.max_sigma, page.focus, page.pupil):
-            set_value(own, control, value)
-        until(lambda: page.loop.meters["view"].count > shown + 3)
+@SERVER
+def test_no_value_ends_the_page(tmp_path):
+    with served(tmp_path) as (page, said):
+        number = unpack(newest(page))[0]["number"]
+        for value in ("0", "-1", "1e18", "nan", "inf"):
+            status, state = post(page, f"focus?distance_mm={value}&pupil={value}")
+            assert status == 200
+            assert all(math.isfinite(v) and v > 0 for v in state["focus"])
+            assert post(page, f"snapshot?percent={value}")[0] == 200
+            facts = unpack(newest(page, after=number))[0]
+            assert facts["number"] > number
+            number = facts["number"]
         assert not any("could not be drawn" in line for line in said)
-        page.snapshot()
+        assert post(page, "focus")[1]["focus"] is None
 
 
-@pytest.mark.extra("viewer", "viser")
+@SERVER
 def test_messages_of_no_sense_are_said_and_end_nothing(tmp_path):
-    with served(tmp_path) as (page, said), browser(page) as own:
-        look(page, own)
-        for _ in range(3):
-            set_value(own, page.near, "far away")
-        until(lambda: said)
-        own.send(b"\xff\xff")
-        with browser(page) as another:
-            look(page, another)
-            shown = page.loop.meters["view"].count
-            until(lambda: page.loop.meters["view"].count > shown + 3)
-        assert len([line for line in said if "could not be used" in line]) == 1
+    with served(tmp_path) as (page, _):
+        for path in ("focus?distance_mm=far&pupil=2", "focus?distance_mm=1000", "record", "record?on=yes",
+                     "pause?on=-1", "snapshot", "snapshot?percent=[]"):  # fmt: skip
+            status, answer = post(page, path)
+            assert (status, list(answer)) == (400, ["error"]), path
+            assert "must be a" in answer["error"]
+        for path in ("api/live/frame", "api/live/frame?after=x", "api/live/mesh", "api/cameras/live/points?width=1",
+                     "api/cameras/live/points?width=7&height=999"):  # fmt: skip
+            assert ask(page, path)[0] == 400
+        with socket.create_connection(("127.0.0.1", page.port), timeout=WAIT_S) as connection:
+            connection.sendall(b"\xff\xff\r\n\r\n")
+        assert not page.loop.recording
+        assert not page.loop.paused.is_set()
+        newest(page)
 
 
-@pytest.mark.extra("viewer", "viser")
+@SERVER
 def test_what_cannot_be_drawn_is_said_once_on_the_page_too_and_the_rest_goes_on(tmp_path, monkeypatch):
-    with served(tmp_path) as (page, said), browser(page) as own:
-        look(page, own)
-        until(lambda: page.depth.image.any())
+    def fail(*frame: object) -> None:
+        raise ZeroDivisionError("division by zero")
 
-        def fail(*frame: object) -> None:
-            raise ZeroDivisionError("division by zero")
-
-        monkeypatch.setattr(page.scene, "draw", fail)
+    with served(tmp_path) as (page, said):
+        newest(page)
+        monkeypatch.setattr(page.view, "draw", fail)
+        page.view.asked()
         until(lambda: said)
-        assert "this frame could not be drawn" in page.state.content
+        assert "this frame could not be drawn" in page.view.state()["latest"]
         shown = page.loop.meters["view"].count
         until(lambda: page.loop.meters["view"].count > shown + 3)
         assert said == ["this frame could not be drawn: division by zero"]
+        number = page.view.number
         monkeypatch.undo()
-        until(lambda: "median" in page.state.content)
+        assert unpack(newest(page, after=number))[0]["number"] > number
 
 
-@pytest.mark.extra("viewer", "viser")
+@SERVER
+def test_nothing_is_drawn_while_nobody_looks(tmp_path):
+    with served(tmp_path) as (page, _):
+        shown = page.loop.meters["view"].count
+        until(lambda: page.loop.meters["view"].count > shown + 2)
+        assert page.view.number == 0
+        newest(page)
+
+
+@SERVER
 def test_a_snapshot_leaves_the_reserve_of_the_disk_free(tmp_path, monkeypatch):
     with served(tmp_path / "out", reserve_bytes=10**6) as (page, _):
         monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=10**6 + 1000))
-        with pytest.raises(InputError, match="free"):
-            page.snapshot()
+        for path in ("snapshot?percent=10", "record?on=1"):
+            if path.startswith("record"):
+                monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=10**6 - 1))
+            status, answer = post(page, path)
+            assert status == 400
+            assert "free" in answer["error"]
         assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.extra("viewer", "viser")
-def test_the_page_is_served_and_a_snapshot_written(tmp_path):
-    eye = load_camera(sample_camera(NAME))
-    with LiveLoop(Still(), eye, track=False) as loop:
-        page = LivePage(loop, host="127.0.0.1", port=0, out=tmp_path, max_relative_sigma=0.05)
-        try:
-            assert page.max_sigma.value == 5  # %
-            with pytest.raises(InputError, match="no frame yet"):
-                page.snapshot()
-            page.run(until=lambda: page.last is not None)
-            page.show(page.last)  # as with somebody looking
-            assert page.depth.image.any()
-            plain, page.refocus.value, page.focus.value = page.color.image.copy(), True, 1200
-            page.show(page.last)
-            detail = [cv2.Laplacian(picture, cv2.CV_64F).std() for picture in (plain, page.color.image)]
-            assert 0.02 * detail[0] < detail[1] < 0.9 * detail[0]  # most of it lies behind, and is blurred now
-            files = page.snapshot()
-            assert all(path.stat().st_size > 0 for path in files)
-        finally:
-            page.close()
-
-
-def test_the_values_under_the_mouse_are_those_of_the_picture():
-    depth = np.arange(200 * 300, dtype=np.float32).reshape(200, 300) + 1000
-    depth[0, 0] = np.nan
-    attributes = dict(part.split("=", 1) for part in values_html(depth, depth / 100).split() if "=" in part)
-    step, columns = int(attributes["data-step"].strip('"')), int(attributes["data-columns"].strip('"'))
-    text = attributes["data-values"].partition(">")[0].strip('"')
-    floats = struct.unpack(f"<{len(b64decode(text)) // 4}f", b64decode(text))
-    assert np.isnan(floats[0])
-    for y, x in ((7, 11), (199, 299), (100, 0)):
-        at = 2 * ((y // step) * columns + x // step)  # as the script does it
-        assert abs(floats[at] - depth[y, x]) <= (step - 1) * (300 + 1)  # the value of a pixel in the same cell
-        assert floats[at + 1] == np.float32(floats[at]) / np.float32(100)
-    assert encode_values(depth[:1, :1], depth[:1, 1:2]) == "AADAfwBAekQ="  # NaN and 1001, little-endian
-
-
-@pytest.mark.parametrize("half_width", [0.1, 0.24, 0.6])
-@pytest.mark.parametrize("distance", [0.3, 2.0, 50.0])
-def test_the_first_view_shows_the_scene_and_from_the_side(distance, half_width):
-    position, target = first_view(distance, half_width)
-    forward = (target - position) / np.linalg.norm(target - position)
-    right = np.cross(forward, [0, -1, 0])
-    right /= np.linalg.norm(right)
-    edges = np.array([[-half_width * distance, 0, distance], [half_width * distance, 0, distance]]) - position
-    across = edges @ right / (edges @ forward)  # tangent of the angle from the middle of the view
-    widest = np.tan(np.radians(25)) * 0.75  # a view of 50 degrees on a canvas three wide and four high
-    assert (np.abs(across) < widest).all()
-    assert np.ptp(across) > widest  # more than half of the width
-    assert 5 < np.degrees(np.arccos(forward[2])) < 45  # relief is seen
+def test_a_frame_is_what_was_measured_and_its_flying_pixels_are_no_points(tmp_path):
+    with LiveLoop(Still(), load_camera(sample_camera(NAME)), track=False) as loop:
+        view = LiveView(loop, out=tmp_path, max_relative_sigma=0.3)
+        assert view.limits.percent.initial == 30
+        with pytest.raises(InputError, match="no frame yet"):
+            view.snapshot()
+        view.run(until=lambda: view.last is not None)
+        frame = view.last.measurement
+        view.draw(view.last)
+        facts, depth, sigma, jpeg = unpack(view.message)
+        assert (facts["width"], facts["height"]) == (360, 240)
+        pixels = slice(1, None, 2), slice(1, None, 2)
+        for found, values, name in ((depth, frame.depth_mm, "depth"), (sigma, frame.sigma_mm, "sigma")):
+            np.testing.assert_allclose(found, values[pixels], atol=facts[name]["step"])
+        shown = within_error(frame.depth_mm, frame.sigma_mm, 0.3)
+        flying = near_steps(shown, jump=loop.config.edge_jump, reach_px=loop.config.edge_px)[pixels]
+        bits = np.frombuffer(jpeg[facts["color_bytes"] :], np.uint8)
+        np.testing.assert_array_equal(np.unpackbits(bits)[: flying.size].reshape(flying.shape), flying)
+        assert 0 < flying.mean() < 0.3
+        # Most of it lies behind the new focus, and is blurred then.
+        pictures = [jpeg]
+        view.focus_at(1200, 2)
+        view.draw(view.last)
+        pictures.append(unpack(view.message)[3])
+        detail = [cv2.Laplacian(cv2.imdecode(np.frombuffer(p, np.uint8), 0), cv2.CV_64F).std() for p in pictures]
+        assert 0.02 * detail[0] < detail[1] < 0.9 * detail[0]
+        assert all(path.stat().st_size > 0 for path in view.snapshot())
 
 
 def test_beside_tracking_there_is_a_value():
@@ -409,59 +366,189 @@ def test_beside_tracking_there_is_a_value():
     assert "too little overlap" in tracking_line(Placed(3, 0.1, None, note="lost: too little overlap"))
 
 
-def test_the_line_about_depth_is_of_what_is_shown():
-    depth = np.array([[1000.0, 2000.0, np.nan, 2000.0]])
-    sigma = np.array([[10.0, 20.0, 500.0, 40.0]])
-    assert "**2000 ± 20 mm**; 75%" in depth_line(depth, sigma)
-    assert "no pixel" in depth_line(depth * np.nan, sigma)
-
-
-@pytest.mark.extra("viewer", "viser")
-def test_what_was_drawn_is_freed_when_it_is_replaced(tmp_path):
-    """Not later, by the collector of cycles: it looks at old objects so rarely that they fill the memory until then."""
-    from chromaperture.reconstruction.volume import Mesh
-
+def test_meshes_poses_and_the_path_are_sent_as_they_are_and_freed_when_they_are_replaced(tmp_path):
     with LiveLoop(Still(), load_camera(sample_camera(NAME)), track=False) as loop:
-        page = LivePage(loop, host="127.0.0.1", port=0, out=tmp_path)
-        page.run(until=lambda: page.last is not None)
+        view = LiveView(loop, out=tmp_path)
+        view.run(until=lambda: view.last is not None)
         loop.stop()
-    try:
+        with pytest.raises(InputError, match="no model yet"):
+            view.mesh_message()
+        assert view.state()["mesh"] == 0
         drawn: list[weakref.ref[np.ndarray]] = []
-        gc.collect()
-        gc.disable()
-        gc.set_debug(gc.DEBUG_SAVEALL)
-        for count in range(6):
+        for count in range(4):
             pose = np.eye(4)
             pose[0, 3] = count
             loop.placed = Placed(count, 0.0, pose)
             loop.trail.add(pose[:3, 3])
-            vertices = np.random.default_rng(count).normal(size=(3000, 3)).astype(np.float32)
-            triangles = np.arange(3000, dtype=np.int32).reshape(-1, 3)
-            loop.mesh = Mesh(vertices, triangles, np.full((3000, 3), 99, np.uint8))
-            drawn.append(weakref.ref(vertices))
-            del vertices
-            page.show(page.last)
-        assert [kept() is not None for kept in drawn] == [False] * 5 + [True]  # the last is the loop's still
-        gc.collect()
-        held = [held for left in gc.garbage for held in [left, *gc.get_referents(left)]]
-        assert [type(part) for part in held if isinstance(part, np.ndarray | bytes) and len(part) > 300] == []
-    finally:
-        gc.set_debug(0)
-        gc.garbage.clear()
-        gc.enable()
-        page.close()
+            loop.mesh = cube()
+            drawn.append(weakref.ref(loop.mesh.vertices_mm))
+            view.draw(view.last)
+            state = view.state()
+            assert state["mesh"] == count + 1
+            text, array = unpacked(view.mesh_message())
+            assert view.mesh_message() is view.mesh_message()  # packed once
+        assert [kept() is not None for kept in drawn] == [False] * 3 + [True]
+        assert state["path"] == [0, 0, 0, 1, 0, 0, 2, 0, 0, 3, 0, 0]
+        facts = unpack(view.message)[0]
+        assert (np.reshape(facts["pose"], (4, 4)) == pose).all()
+        assert not facts["lost"]
+        np.testing.assert_array_equal(array(text["vertices"]).reshape(3, -1).T, loop.mesh.vertices_mm)
+        np.testing.assert_array_equal(array(text["triangles"]).reshape(3, -1).T, loop.mesh.triangles)
+        np.testing.assert_array_equal(array(text["colors"]).view(np.uint8).reshape(-1, 4)[:, :3], loop.mesh.colors)
+        loop.placed = Placed(9, 0.0, None, note="lost")
+        view.draw(view.last)
+        assert unpack(view.message)[0]["lost"]
 
 
-@pytest.mark.extra("viewer", "viser")
+@SERVER
 def test_viewers_come_and_go_and_one_that_dies_stops_nothing(tmp_path):
     with served(tmp_path) as (page, _):
-        first, second = browser(page), browser(page)
-        look(page, first)
-        look(page, second)
-        first.socket.close()  # without a word, as a browser that is killed
-        until(lambda: len(page.server.get_clients()) == 1)
-        shown = page.loop.meters["view"].count
-        until(lambda: page.loop.meters["view"].count > shown + 2)
+        request = f"GET /{page.access.token}/api/live/frame?after=0 HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n\r\n"
+        for _ in range(3):  # without a word, in the middle of an answer, as a browser that is killed
+            with socket.create_connection(("127.0.0.1", page.port), timeout=WAIT_S) as connection:
+                connection.sendall(request.encode())
+                connection.recv(100)
+        number = 0
         for _ in range(3):
-            assert second.recv(timeout=WAIT_S)
-        second.close()
+            number = unpack(newest(page, after=number))[0]["number"]
+        until(lambda: not page._server.server_state.connections)
+
+
+@SERVER
+def test_live_serves_its_page_and_ends_at_its_time(run, tmp_path):
+    options = "--no-model", "--out", tmp_path / "out", "--port", "0", "--seconds", "0.5"
+    result = run("live", sample_image(NAME), "--camera", sample_camera(NAME), *options)
+    assert result.returncode == 0, result.stderr
+    assert "Look at http://127.0.0.1:" in result.stdout
+    assert "view" in result.stdout
+    assert not (tmp_path / "out").exists()
+    assert "page" not in {thread.name for thread in threading.enumerate()}
+
+
+# ---- in a browser
+
+
+@pytest.fixture(scope="module")
+def browser(driver):
+    with chromium(driver) as started:
+        yield started
+
+
+def browser_test(test):
+    for mark in BROWSER_TESTS:
+        test = mark(test)
+    return test
+
+
+def read_at(page, x: float, y: float) -> str:
+    box = page.locator("#watch-viewer .stage canvas").bounding_box()
+    scale = min(box["width"] / 360, box["height"] / 240)
+    left, top = box["x"] + (box["width"] - scale * 360) / 2, box["y"] + (box["height"] - scale * 240) / 2
+    page.mouse.click(left + x * scale * 360, top + y * scale * 240)
+    page.wait_for_selector("#watch-viewer .reading:not([hidden])")
+    return page.inner_text("#watch-viewer .reading")
+
+
+def set_slider(page, name: str, value: float) -> None:
+    page.locator(f"#watch-{name}").fill(str(value))
+
+
+@browser_test
+@pytest.mark.parametrize("size", [PHONE, DESKTOP], ids=["phone", "desktop"])
+def test_the_page_shows_depth_and_reads_it(browser, tmp_path, size):
+    with served(tmp_path) as (live, _), pages(browser, live.url) as opened:
+        page = opened(size, camera=None)
+        page.wait_for_selector("#watch-found:has-text('median of what is shown')", timeout=60_000)
+        assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+        assert page.evaluate(FAULTS) == []
+        assert page.is_hidden("nav")
+        assert page.is_hidden("#live-start")
+        frame = live.view.last.measurement
+        depth, sigma = (float(v) for v in read_at(page, 0.25, 0.6).removesuffix(" mm").split(" ± "))
+        window = frame.depth_mm[282:295, 173:188]
+        assert depth == pytest.approx(float(np.nanmedian(window)), abs=max(sigma, 0.02 * depth))
+        # The limits are the page's own.
+        set_slider(page, "far", 1300)
+        shown = int(page.inner_text("#watch-found").split("; ")[1].removesuffix(" % of the pixels"))
+        kept = within_error(frame.depth_mm, frame.sigma_mm, 0.1)
+        assert shown == pytest.approx(100 * ((kept >= 900) & (kept <= 1300)).mean(), abs=2)
+        assert "1300 mm" in page.inner_text("#watch-viewer .scale")
+        set_slider(page, "percent", 0.1)
+        assert page.inner_text("#watch-found") == "no pixel is within these limits"
+
+
+@browser_test
+def test_the_buttons_do_what_they_say(browser, tmp_path):
+    with served(tmp_path) as (live, _), pages(browser, live.url) as opened:
+        page = opened(DESKTOP, camera=None)
+        page.wait_for_selector("#watch-found:has-text('median')", timeout=60_000)
+        page.click("#watch-record")
+        page.wait_for_selector("#watch-record:has-text('Stop recording')")
+        until(lambda: live.loop.recorded > 2)
+        page.click("#watch-record")
+        page.wait_for_selector("#watch-state:has-text('frames recorded')")
+        assert len(list(tmp_path.glob("recording-*"))) == 1
+        page.click("#watch-snapshot")
+        page.wait_for_selector("#watch-state:has-text('wrote snapshot-')")
+        assert list(tmp_path.glob("snapshot-*.depth.tiff"))
+        page.click("#watch-pause")
+        page.wait_for_selector("#watch-pause:has-text('Go on')")
+        assert live.loop.paused.is_set()
+        page.click("#watch-pause")
+        page.wait_for_selector("#watch-pause:has-text('Pause')")
+        page.click("[data-view=color]")
+        page.check("#watch-elsewhere")
+        set_slider(page, "focus", 1200)
+        page.locator("#watch-focus").dispatch_event("change")
+        until(lambda: live.view.focus == (1200.0, 2.0))
+        page.uncheck("#watch-elsewhere")
+        until(lambda: live.view.focus is None)
+        rows = page.locator("#watch-stages tr").all_inner_texts()
+        assert [row.split()[0] for row in rows] == ["capture", "depth", "tracking", "view"]
+
+
+@browser_test
+def test_points_and_the_growing_model_are_drawn(browser, tmp_path):
+    def pixels(page):
+        png = page.evaluate("document.querySelector('#watch-viewer .turned canvas').toDataURL()")
+        return cv2.imdecode(np.frombuffer(base64.b64decode(png.split(",")[1]), np.uint8), cv2.IMREAD_COLOR).astype(int)
+
+    def purple(page):
+        blue, green, red = np.moveaxis(pixels(page), -1, 0)
+        return ((blue > 100) & (red > 100) & (green < 60)).mean()
+
+    with served(tmp_path) as (live, _), pages(browser, live.url) as opened:
+        page = opened(DESKTOP, camera=None)
+        page.wait_for_selector("#watch-found:has-text('median')", timeout=60_000)
+        page.click("[data-view=points]")
+        page.wait_for_selector("#watch-viewer .turned canvas[aria-label*=points]", timeout=60_000)
+        assert (pixels(page).max(axis=2) > 60).mean() > 0.2  # points are drawn
+        assert purple(page) == 0
+        live.loop.placed = Placed(1, 0.0, np.eye(4))
+        live.loop.mesh = cube()
+        until(lambda: purple(page) > 0.02)
+        before = purple(page)
+        page.locator("#watch-viewer .turned canvas").focus()
+        for _ in range(30):
+            page.keyboard.press("-")
+        until(lambda: purple(page) < before / 2)  # from farther away
+        # The points, and the camera, move with the pose.
+        pose = np.eye(4)
+        pose[0, 3] = 4000
+        live.loop.placed = Placed(2, 0.0, pose)
+
+        def lit(page):
+            return np.flatnonzero((pixels(page).max(axis=2) > 60).any(axis=0))
+
+        until(lambda: lit(page)[-1] > 0.75 * pixels(page).shape[1])
+
+
+@browser_test
+def test_an_end_is_said(browser, tmp_path):
+    with contextlib.ExitStack() as stack:
+        live, _ = stack.enter_context(served(tmp_path))
+        opened = stack.enter_context(pages(browser, live.url))
+        page = opened(DESKTOP, camera=None)
+        page.wait_for_selector("#watch-found:has-text('median')", timeout=60_000)
+        live.close()
+        page.wait_for_selector("#message:has-text('has ended')", timeout=60_000)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import base64
 import re
+import shutil
 
 import cv2
 import numpy as np
 import pytest
 
 import chromaperture as cap
+from apps import chromium
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.depth.pointcloud import PointCloud
 from chromaperture.frame.points_view import points_view
@@ -45,14 +47,12 @@ def test_a_camera_without_calibration_says_so():
     assert "worth" not in html
 
 
-@pytest.mark.extra("viewer", "viser")
 def test_points_need_points():
     with pytest.raises(cap.InputError, match="no point"):
         points_view(PointCloud(np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)), most_points=9, height_px=9)
 
 
-@pytest.mark.extra("viewer", "viser")
-def test_a_page_of_points_holds_them_and_loads_nothing(capfd):
+def test_a_page_of_points_holds_them_and_loads_nothing():
     rng = np.random.default_rng(0)
     points = rng.normal((0, 0, 2000), 100, (5000, 3)).astype(np.float32)
     cloud = PointCloud(points, rng.integers(0, 255, (5000, 3)).astype(np.uint8))
@@ -62,4 +62,19 @@ def test_a_page_of_points_holds_them_and_loads_nothing(capfd):
     assert not re.search(r"""(?:src|href)=["']https?:""", view.page)
     assert 'height="300"' in view._repr_html_()
     assert len(view.page) > len(points_view(cloud, most_points=10, height_px=300).page)  # the data is inside
-    assert "viser" not in capfd.readouterr().out
+
+
+@pytest.mark.extra("browser", "playwright")
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="Chromium is not installed: the page is NOT looked at")
+@pytest.mark.slow
+def test_a_notebook_turns_points(driver, rng):
+    points = rng.normal((0, 0, 2000), 100, (5000, 3)).astype(np.float32)
+    view = points_view(PointCloud(points, np.full((5000, 3), 200, np.uint8)), most_points=1000, height_px=300)
+    with chromium(driver) as browser:
+        page = browser.new_page()
+        page.set_content(view._repr_html_())
+        canvas = page.frame_locator("iframe").locator("#cloud")
+        canvas.and_(page.frame_locator("iframe").locator("[data-drawn='1000']")).wait_for()
+        before = canvas.screenshot()
+        canvas.drag_to(canvas, source_position={"x": 100, "y": 100}, target_position={"x": 200, "y": 100})
+        assert canvas.screenshot() != before

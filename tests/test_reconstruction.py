@@ -436,9 +436,9 @@ def test_meshes_are_read_by_another_program(tmp_path):
     np.testing.assert_array_equal(read.triangle.indices.numpy(), mesh.triangles)
 
 
-@pytest.mark.extra("viewer", "trimesh")
+@pytest.mark.extra("readers", "trimesh")
 def test_glb_files_are_read_by_another_program(tmp_path):
-    import trimesh  # of viser
+    import trimesh
 
     mesh = a_mesh()
     (tmp_path / "a.glb").write_bytes(glb(mesh))
@@ -498,7 +498,7 @@ def test_frames_through_another_film_are_refused(run, tmp_path):
 @pytest.mark.parametrize("command", ["reconstruct", "live"])
 def test_a_missing_extra_is_named(command, monkeypatch, capsys, tmp_path):
     monkeypatch.setitem(sys.modules, "open3d", None)
-    monkeypatch.setitem(sys.modules, "viser", None)
+    monkeypatch.setitem(sys.modules, "starlette", None)
     camera = str(sample_camera("still_life_cy_halves"))
     monkeypatch.setattr(sys, "argv", ["chromaperture", command, str(tmp_path), "-c", camera])
     with pytest.raises(SystemExit) as left:

@@ -72,7 +72,7 @@ ONE_WAY = {
     "ThreadPoolExecutor": "system/threads.py",
     "ThreadPool": "system/threads.py",
 }
-OPTIONAL = {"open3d", "viser", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "fsspec", "mcap", "mcap_ros2",
+OPTIONAL = {"open3d", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "fsspec", "mcap", "mcap_ros2",
             "imageio", "xarray", "OpenEXR", "pxr", "foxglove", "picamera2", "wgpu", "starlette", "uvicorn",
             "cryptography", "segno"}  # fmt: skip
 # Import name of a distribution, where the two differ.
@@ -245,8 +245,8 @@ def test_a_wrong_import_is_found(part, source):
         ("import open3d", {"open3d"}),
         ("try:\n    import rawpy\nexcept ImportError:\n    rawpy = None", {"rawpy"}),
         ("class A:\n    import dask.array", {"dask"}),
-        ("def f():\n    import viser", set()),
-        ("if TYPE_CHECKING:\n    import viser\nelse:\n    import gi", {"gi"}),
+        ("def f():\n    import starlette", set()),
+        ("if TYPE_CHECKING:\n    import starlette\nelse:\n    import gi", {"gi"}),
         ("import cv2, math, scipy.signal\nfrom . import errors", set()),
     ],
 )

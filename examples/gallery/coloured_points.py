@@ -17,7 +17,7 @@ print(cloud, f"of {frame.depth_mm.size} pixels; nearest {cloud.points_mm[:, 2].m
 
 # %%
 # Matplotlib draws a few thousand of them, here of those nearer than 2.8 m. ``cap.write_ply("points.ply", cloud)`` keeps
-# all for any viewer, and ``frame.show_points()`` turns them in a notebook (extra ``viewer``).
+# all for any viewer, and ``frame.show_points()`` turns them in a notebook.
 
 near = np.flatnonzero(cloud.points_mm[:, 2] < 2800)
 some = np.random.default_rng(0).choice(near, 12000, replace=False)

@@ -48,24 +48,10 @@ def check_shot(
     sheet: str = "",
     exposure_ms: float | None = None,
 ) -> CheckedShot:
-    """Check one photograph against the session.
+    """Check one photograph against the session; raises InputError where it cannot be read or a fact of it is missing.
 
-    Parameters
-    ----------
-    folder : SessionFolder
-    photograph : Path
-    kind : {"board", "tilt", "white", "tone"}
-    ruler_mm : float, optional
-        Of a board, from the sensor plane.
-    sheet : str
-        Of a white sheet: ``open``, the design, or a sheet's name.
-    exposure_ms : float, optional
-        Of a sheet at two exposures; what its file states where it is absent.
-
-    Raises
-    ------
-    InputError
-        It cannot be read, or the distance, the sheet or the exposure is missing.
+    A board has ``ruler_mm`` from the sensor plane, a white sheet its name (``open``, the design, or a sheet's), a sheet
+    at two exposures ``exposure_ms``, by default what its file states.
     """
     session = folder.prepare(photograph)
     image, notes = read_for_check(session, photograph)

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from chromaperture.app.assistant import check_shot, shown_check, state
 from chromaperture.app.calibration_job import CalibrationJob
-from chromaperture.app.camera_answers import CameraAnswers
-from chromaperture.app.camera_feed import write_frame
-from chromaperture.app.live.free_space import require_space
+from chromaperture.app.camera_feed import CameraAnswers, write_frame
+from chromaperture.app.free_space import require_space
 from chromaperture.app.session_folder import Holding, Kind, SessionFolder
 from chromaperture.app.workbench import NAME, Workbench
 from chromaperture.system.errors import InputError
@@ -28,14 +27,7 @@ _REPORT = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-a
 
 
 class AssistantAnswers:
-    """The answer to each address of the assistant.
-
-    Parameters
-    ----------
-    workbench : Workbench
-    desk : Desk
-    cameras : CameraAnswers, optional
-    """
+    """The answer to each address of the assistant."""
 
     def __init__(self, workbench: Workbench, desk: Desk, cameras: CameraAnswers | None = None) -> None:
         self.workbench, self.desk, self.cameras = workbench, desk, cameras or CameraAnswers()

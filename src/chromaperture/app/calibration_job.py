@@ -24,25 +24,13 @@ class _Stopped(Exception):
 
 @dataclass
 class CalibrationJob:
-    """One run.
+    """One run."""
 
-    Attributes
-    ----------
-    folder : Path
-        The session.
-    camera, report : Path
-        Files to write.
-    lens_blur : bool
-        Fit the blur of the lens, which takes most of the time.
-    holding : Holding, optional
-        How the device was held that took the photographs; the camera file keeps it.
-    """
-
-    folder: Path
-    camera: Path
+    folder: Path  # the session
+    camera: Path  # to write, as the report
     report: Path
-    lens_blur: bool = True
-    holding: Holding | None = None
+    lens_blur: bool = True  # fit the blur of the lens, which takes most of the time
+    holding: Holding | None = None  # of the device that took the photographs; the camera file keeps it
     step: str = "starting"
     done: int = 0
     total: int = 0

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,19 +33,8 @@ class CameraFeed:
     """One source of `capture/`, opened when the page first asks for a picture, and released when it asks no more.
 
     Live cameras give their newest frame. All others give the next one when asked for it, so that a tethered camera
-    takes no photograph by itself.
-
-    Parameters
-    ----------
-    spec : str
-        As for ``chromaperture live``; from the command line, never from a page.
-    wait_s, idle_s : float
-        Until a camera that gives nothing is an error; until one that nobody asks for is released.
-
-    Raises
-    ------
-    InputError
-        Unknown kind of source, or a setting of it.
+    takes no photograph by itself. ``spec``, as for ``chromaperture live``, is from the command line, never from a page;
+    raises InputError for an unknown one.
     """
 
     def __init__(self, spec: str, *, wait_s: float = _WAIT_S, idle_s: float = _IDLE_S) -> None:
@@ -63,10 +54,7 @@ class CameraFeed:
     def next_frame(self) -> Frame:
         """Return the newest frame of a live camera, the next one of another source.
 
-        Raises
-        ------
-        InputError
-            It cannot be opened, was taken away, has ended, or gives nothing.
+        Raises InputError where it cannot be opened, was taken away, has ended, or gives nothing.
         """
         if not self._turn.acquire(timeout=self.wait_s):
             raise InputError(f"{self.name} is still busy with the picture before; try again")
@@ -186,13 +174,6 @@ def write_frame(frame: Frame, path: Path, session: SessionFolder) -> None:
     """Write a frame as a photograph of a session, PNG, so that all of its photographs are decoded alike.
 
     The first one decides: 8 bits of sRGB stay so; of all others the session states the levels, where nobody gave them.
-
-    Parameters
-    ----------
-    frame : Frame
-    path : Path
-        With the suffix ``.png``.
-    session : SessionFolder
     """
     encoding, facts = frame.encoding, session.facts
     if facts.white_level is None and not session.shots and encoding.curve != "srgb":
@@ -215,3 +196,45 @@ def _levels(encoding: Encoding) -> tuple[float, float]:
     factor = 1 if encoding.channel_offsets_px == CENTRED else 2
     black, white = encoding.black_level / factor, encoding.white_level / factor
     return (black, white) if white - black >= _LEAST_SPAN and black >= 0 and white <= 65535 else _WIDE
+
+
+class CameraAnswers:
+    """The answer to each address of the cameras that the command line names: a page chooses one by its number."""
+
+    def __init__(self, feeds: Sequence[CameraFeed] = ()) -> None:
+        self.feeds = tuple(feeds)
+
+    def table(self) -> list[tuple[str, str, Any]]:
+        """Return method, address and answer of each."""
+        return [
+            ("GET", "/api/sources", self.sources),
+            ("GET", "/api/sources/{number}/picture", self.picture),
+            ("DELETE", "/api/sources/{number}", self.release),
+        ]
+
+    def feed(self, number: str) -> CameraFeed:
+        """Return a camera by its number; raises InputError for one that is not there."""
+        if not (number.isascii() and number.isdigit() and len(number) < 4 and int(number) < len(self.feeds)):
+            raise InputError("this computer has no such camera: start 'chromaperture serve' with --source")
+        return self.feeds[int(number)]
+
+    async def sources(self, request: Any) -> Any:
+        """List them."""
+        from starlette.responses import JSONResponse
+
+        return JSONResponse([{"name": feed.name, "live": feed.live} for feed in self.feeds])
+
+    async def picture(self, request: Any) -> Any:
+        """Return the newest picture of a live camera, the next one of another."""
+        from starlette.responses import Response
+
+        feed = self.feed(request.path_params["number"])
+        content = await asyncio.to_thread(lambda: preview_jpeg(feed.next_frame()))
+        return Response(content, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+
+    async def release(self, request: Any) -> Any:
+        """Release a camera for other programs."""
+        from starlette.responses import JSONResponse
+
+        await asyncio.to_thread(self.feed(request.path_params["number"]).close)
+        return JSONResponse({})

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from chromaperture.app.live.access import new_token
+from chromaperture.app.gate import new_token
 from chromaperture.system.errors import InputError, MissingDependencyError
 from chromaperture.system.storage import staged
 
@@ -47,12 +47,7 @@ def state_folder() -> Path:
 def kept_token(folder: Path, *, anew: bool = False) -> str:
     """Return the token of this user's app: an installed app opens the address that it was installed from.
 
-    Parameters
-    ----------
-    folder : Path
-        Of `state_folder`.
-    anew : bool
-        Draw another one, which closes the app to everyone who has the old address.
+    ``anew`` draws another one, which closes the app to everyone who has the old address.
     """
     path = folder / "serve.token"
     if not anew and path.is_file():
@@ -66,21 +61,10 @@ def kept_token(folder: Path, *, anew: bool = False) -> str:
 
 
 def kept_certificate(folder: Path, names: list[str]) -> Certificate:
-    """Return this machine's certificate; made where there is none, it ends soon, or an address is not in it.
+    """Return this machine's certificate for host names and addresses that the app is opened by.
 
-    Parameters
-    ----------
-    folder : Path
-        Of `state_folder`.
-    names : list of str
-        Host names and addresses that the app is opened by.
-
-    Raises
-    ------
-    MissingDependencyError
-        The extra is not installed.
-    InputError
-        The folder cannot be written.
+    It is made where there is none, it ends soon, or an address is not in it. Raises InputError where the folder cannot
+    be written, MissingDependencyError without the extra.
     """
     x509 = _x509()
     paths = folder / "serve.crt", folder / "serve.key"

@@ -6,16 +6,13 @@ the constant ones hold, and the dispatches in their order. The page (``static/we
 
 from __future__ import annotations
 
-import json
-import struct
-import zlib
 from functools import cache
 from typing import Any, get_args
 
 import numpy as np
 
+from chromaperture.app.messages import Packing
 from chromaperture.app.notes import heard
-from chromaperture.app.packed_arrays import pack_array
 from chromaperture.camera.alignment import channel_shifts
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.capture.checks import all_black
@@ -37,6 +34,7 @@ from chromaperture.matching.nothing_to_match import constant_view, no_usable_pix
 from chromaperture.matching.real_time import RealTimeMethod
 from chromaperture.matching.views import CONSTANT
 from chromaperture.model.camera_file import Calibration
+from chromaperture.settings.methods import Quality
 from chromaperture.system.errors import InputError
 
 MOST_PX = (
@@ -45,30 +43,13 @@ MOST_PX = (
 FORMAT = 1  # of the message; `plan.js` refuses others
 # Places in the array `stats`, as `shared.wgsl` names them.
 _MEAN_ALL, _USABLE, _VARIANCE = 3, 4, 8
-_PACKED_FROM = 1024  # numbers: shorter arrays are text
 
 
 def make_plan(camera: CodedApertureCamera, exchange: str, facts: dict[str, Any]) -> bytes:
-    """Return the plan for frames of a camera's size at quality real-time.
+    """Return the plan for frames of a camera's size at quality real-time; raises InputError where it cannot measure so.
 
-    Parameters
-    ----------
-    camera : CodedApertureCamera
-        At real-time quality, for frames that need not be reduced.
-    exchange : {"quad", "shared", "single"}
-        See `PlannedChain`.
-    facts : dict
-        More to put into the plan's text.
-
-    Returns
-    -------
-    bytes
-        The length of a deflated JSON text (four bytes, little-endian), the text, and the arrays that it refers to.
-
-    Raises
-    ------
-    InputError
-        The camera or the frame cannot be measured so.
+    It is the length of a deflated JSON text (four bytes, little-endian), the text with ``facts``, and the arrays that
+    it refers to; for ``exchange`` see `PlannedChain`.
     """
     if exchange not in get_args(Exchange):
         raise InputError(f"unknown exchange {exchange!r}: choose {', '.join(get_args(Exchange))}")
@@ -99,36 +80,31 @@ def make_plan(camera: CodedApertureCamera, exchange: str, facts: dict[str, Any])
         {"stage": d.stage, "source": sources.index(d.source), "arrays": [a.name for a in d.arrays], "groups": d.groups}
         for d in chain.dispatches
     ]
-    blobs = _Blobs()
+    packing = Packing()
     text = facts | {
         "notes": [*notes, *facts.get("notes", [])],
         "plan": FORMAT, "exchange": exchange, "width": size[1], "height": size[0], "pitch": row_pitch(size[1]),
         "sources": sources, "measure": steps[:measure_count], "draw": steps[measure_count:],
         "arrays": {
-            name: {"size": array.size} | ({"values": blobs.put(chain.values[name])} if name in chain.values else {})
+            name: {"size": array.size} | ({"values": packing.put(chain.values[name])} if name in chain.values else {})
             for name, array in chain.arrays.items()
         },
         "maps": maps, "sparse": sparse, "unit": "px" if limit is None else "mm", "most_relative": limit,
         "checks": _checks(len(method.space.rows), size[0] * size[1]),
         "colors": {name: table.tolist() for name, table in zip(("depth", "sigma"), color_tables(), strict=True)},
-        "points": _points(camera, blobs),
+        "points": _points(calibration, camera.config.quality, packing),
     }  # fmt: skip
-    return blobs.message(text)
+    return packing.message(text)
 
 
-def make_points(camera: CodedApertureCamera) -> bytes:
+def make_points(calibration: Calibration, quality: Quality) -> bytes:
     """Return what makes points of the maps of a camera's size, as a message like `make_plan`'s."""
-    blobs = _Blobs()
-    return blobs.message({"points": _points(camera, blobs)})
+    packing = Packing()
+    return packing.message({"points": _points(calibration, quality, packing)})
 
 
 def light_of_counts(calibration: Calibration) -> tuple[np.ndarray, list[str]]:
-    """Return the linear light of the 256 counts of a picture of 8 bits as its file is read, and notes about it.
-
-    Returns
-    -------
-    (256,) float32, and a list of sentences
-    """
+    """Return the linear light of the 256 counts of a picture of 8 bits, (256,) float32, and notes about it."""
     counts = np.repeat(np.arange(256, dtype=np.uint8)[:, None, None], 3, axis=2)
     encoding = calibration.sensor.encoding if calibration.is_calibrated else None
     with heard() as notes:
@@ -143,27 +119,6 @@ def color_tables() -> np.ndarray:
     return np.stack([draw_levels(levels, kind)[0] for kind in (DISTANCE, ERROR)])
 
 
-class _Blobs:
-    """Arrays behind a text, and what the text says of each."""
-
-    def __init__(self) -> None:
-        self.parts: list[bytes] = []
-
-    def put(self, values: np.ndarray) -> dict[str, Any]:
-        kind = {"f": "float32", "i": "int32", "u": "uint32"}[values.dtype.kind]
-        if values.size < _PACKED_FROM:
-            return {"kind": kind, "numbers": values.tolist()}
-        packed = pack_array(values)
-        at = sum(map(len, self.parts))
-        self.parts.append(packed)
-        return {"kind": kind, "at": at, "bytes": len(packed), "size": int(values.size)}
-
-    def message(self, text: dict[str, Any]) -> bytes:
-        """Return the text and the arrays as one message."""
-        packed = zlib.compress(json.dumps(text, allow_nan=False).encode())
-        return struct.pack("<I", len(packed)) + packed + b"".join(self.parts)
-
-
 def _checks(view_count: int, pixels: int) -> list[dict[str, Any]]:
     """Return what must hold of the numbers in ``stats``, and what to say where it does not."""
     checks = [
@@ -174,15 +129,15 @@ def _checks(view_count: int, pixels: int) -> list[dict[str, Any]]:
     return [{"at": at, "least": least, "says": str(error)} for at, least, error in checks]
 
 
-def _points(camera: CodedApertureCamera, blobs: _Blobs) -> dict[str, Any] | None:
+def _points(calibration: Calibration, quality: Quality, packing: Packing) -> dict[str, Any] | None:
     """Return what makes points of depth, as `depth_to_points`; None for a camera that was never calibrated."""
-    if not camera.calibration.is_calibrated:
+    if not calibration.is_calibrated:
         return None
-    lens, sensor = camera.calibration.lens, camera.calibration.sensor
+    lens, sensor = calibration.lens, calibration.sensor
     size = (sensor.height_px, sensor.width_px)
     rays = grid_of_rays(size, np.asarray(lens.camera_matrix, float), np.asarray(lens.distortion, float))
-    pupil_mm = float(camera.calibration.depth[camera.config.quality].sensor_to_pupil_mm)
+    pupil_mm = float(calibration.depth[quality].sensor_to_pupil_mm)
     return {
-        "rays": blobs.put(rays.astype(np.float32)), "rows": rays.shape[0], "columns": rays.shape[1],
+        "rays": packing.put(rays.astype(np.float32)), "rows": rays.shape[0], "columns": rays.shape[1],
         "pitch_px": RAY_PITCH_PX, "sensor_to_pupil_mm": pupil_mm, "most_relative": MAX_RELATIVE_SIGMA,
     }  # fmt: skip

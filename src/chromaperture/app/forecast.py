@@ -49,21 +49,11 @@ class Lens:
 
 @dataclass(frozen=True)
 class Forecast:
-    """The predicted error bar; (N,) arrays, one standard deviation.
+    """The predicted error bar; (N,) float64 arrays, mm, one standard deviation."""
 
-    Attributes
-    ----------
-    distance_mm : float64
-        From the sensor plane.
-    pixel_mm : float64
-        Of one pixel by the noise of light, on a textured surface: the Cramer-Rao bound.
-    calibration_mm : float64
-        Of the curve; the same for all pixels of one distance.
-    """
-
-    distance_mm: np.ndarray
-    pixel_mm: np.ndarray
-    calibration_mm: np.ndarray
+    distance_mm: np.ndarray  # from the sensor plane
+    pixel_mm: np.ndarray  # of one pixel by the noise of light, on a textured surface: the Cramer-Rao bound
+    calibration_mm: np.ndarray  # of the curve; the same for all pixels of one distance
 
     @property
     def total_mm(self) -> np.ndarray:
@@ -81,17 +71,10 @@ class Gain:
 
 
 def forecast(lens: Lens, boards_mm: Sequence[float], tilts: int, *, pixel_sigma_px: float = 0.0) -> Forecast:
-    """Foretell the error bar over the range.
+    """Foretell the error bar over the range from the boards' distances to the sensor plane so far.
 
-    Parameters
-    ----------
-    lens : Lens
-    boards_mm : sequence of float
-        Distances of the boards so far, from the sensor plane.
-    tilts : int
-        Tilted boards so far; four give every board a pose, and with it the pupil's place.
-    pixel_sigma_px : float
-        Scatter of single pixels on the boards, where that is more than the bound.
+    Four tilted boards give every board a pose, and with it the pupil's place. ``pixel_sigma_px`` is the scatter of
+    single pixels on the boards, where that is more than the bound.
     """
     distance = np.linspace(lens.near_mm, lens.far_mm, _DISTANCES)
     z = distance - float(lens.model.sensor_to_pupil_mm)
@@ -115,16 +98,7 @@ def best_gain(lens: Lens, boards_mm: Sequence[float], tilts: int, candidates_mm:
 
 
 def curve_sigma(lens: Lens, boards_mm: Sequence[float], tilts: int, distance_mm: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of depth by the curve's covariance; (N,) float64, mm.
-
-    Parameters
-    ----------
-    lens : Lens
-    boards_mm : sequence of float
-    tilts : int
-    distance_mm : (N,) float
-        From the sensor plane.
-    """
+    """Return the standard deviation of depth by the curve's covariance at (N,) distances to the sensor plane, mm."""
     b, delta = float(lens.model.scale_px_mm), float(lens.model.sensor_to_pupil_mm)
     middle = 1 / np.sqrt((lens.near_mm - delta) * (lens.far_mm - delta))  # 1 / z, where A and B hardly correlate
     prior_a = _NOMINAL_FOCUS * b * middle + _NOMINAL_SCALE * b * middle

@@ -1,18 +1,22 @@
-"""Before the app's server does anything: who asks, how much is sent, and how slowly.
+"""Who may ask a server of this package, how much is sent, and how slowly: nothing else runs before these checks.
 
-Written for any server of the ASGI standard, so that the tests can send it what no browser would.
+`Access` is the check of one request; `Gate` puts it before an application of the ASGI standard.
 """
 
 from __future__ import annotations
 
 import asyncio
+import hmac
+import ipaddress
+import secrets
+import socket
 from collections.abc import Awaitable, Callable, Iterator, MutableMapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
-from chromaperture.app.live.access import Access
 from chromaperture.system.errors import InputError
 
 Scope = MutableMapping[str, Any]
@@ -21,6 +25,8 @@ Receive = Callable[[], Awaitable[Message]]
 Send = Callable[[Message], Awaitable[None]]
 Application = Callable[[Scope, Receive, Send], Awaitable[None]]
 
+_LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
+_TOKEN_BYTES = 16  # 128 bits cannot be guessed
 # Bytes of a body, chosen by hand. A photograph of 24 megapixels in 16 bits is 144 MB as TIFF and at most 60 MB as RAW;
 # everything else that is sent is a short JSON text.
 MOST_UPLOAD_BYTES, MOST_BODY_BYTES = 256 * 2**20, 2**16
@@ -35,15 +41,105 @@ _CONTENT = (
     "connect-src 'self'; manifest-src 'self'; worker-src 'self'; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'none'"
 )
-_HEADERS = {
+HEADERS = {
+    "Cache-Control": "no-store",
     "Content-Security-Policy": _CONTENT,
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "camera=(self), microphone=(), geolocation=()",
-    "Referrer-Policy": "no-referrer",
+    "Referrer-Policy": "no-referrer",  # the address holds the token
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
 }
+
+
+def new_token() -> str:
+    """Draw the part of an address that nobody can guess."""
+    return secrets.token_urlsafe(_TOKEN_BYTES)
+
+
+@dataclass(frozen=True)
+class Access:
+    """Who may connect."""
+
+    host: str  # listened on; on 0.0.0.0 or :: every address of this machine leads here, and its name
+    token: str = field(default_factory=new_token)  # first part of the path of every request
+    scheme: str = "http"  # or https
+    command: str = "live"  # that printed the address
+
+    def is_own_host(self, name: str) -> bool:
+        """Find whether a request may call the server by this name.
+
+        A foreign page whose name was made to lead here ("DNS rebinding") has no address and not this machine's name.
+        """
+        if name in _LOOPBACK_NAMES or name == self.host.lower():
+            return True
+        if not is_every_address(self.host):
+            return False
+        own = socket.gethostname().lower()
+        return name in (own, f"{own}.local") or _is_address(name)
+
+    def refusal(
+        self, path: str, hosts: list[str], origins: list[str], *, sites: list[str] | None = None, mode: str = ""
+    ) -> str | None:
+        """Return why a request is refused, None when it is not.
+
+        ``path`` is as requested, with the token; the others are values of the headers Host, Origin, Sec-Fetch-Site and
+        Sec-Fetch-Mode, which programs other than browsers need not send.
+        """
+        if len(hosts) != 1 or not self.is_own_host(_host_name(hosts[0])):
+            return "this server does not go by that name"
+        if len(origins) > 1 or any(_origin_host(origin) != hosts[0].lower() for origin in origins):
+            return "another web page may not connect"
+        if sites == ["cross-site"] and mode != "navigate":
+            return "another web page may not connect"
+        if not hmac.compare_digest(path_without_query(path).split("/")[1].encode(), self.token.encode()):
+            return f"the token is missing or wrong: open the whole address that 'chromaperture {self.command}' printed"
+        return None
+
+    def inner_path(self, path: str) -> str:
+        """Return the path of an accepted request without the token."""
+        return path.removeprefix(f"/{self.token}") or "/"
+
+    def url(self, port: int, *, host: str | None = None) -> str:
+        """Return the address of the page, by default for a browser on this machine."""
+        name = host or ("127.0.0.1" if is_every_address(self.host) else self.host)
+        return f"{self.scheme}://{f'[{name}]' if ':' in name else name}:{port}/{self.token}/"
+
+
+def path_without_query(path: str) -> str:
+    """Return the path of a request, beginning with a slash."""
+    path = path.partition("?")[0]
+    return path if path.startswith("/") else f"/{path}"
+
+
+def is_every_address(host: str) -> bool:
+    """Find whether listening on this host means listening on every address of the machine."""
+    return host in ("", "0.0.0.0", "::")
+
+
+def _host_name(host: str) -> str:
+    try:
+        parts = urlsplit(f"//{host}")
+        return "" if parts.netloc != host or "@" in host else parts.hostname or ""
+    except ValueError:
+        return ""
+
+
+def _origin_host(origin: str) -> str:
+    try:
+        parts = urlsplit(origin)
+    except ValueError:
+        return ""
+    return parts.netloc.lower() if parts.scheme in ("http", "https") else ""
+
+
+def _is_address(name: str) -> bool:
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
 
 
 class Refused(Exception):
@@ -56,26 +152,15 @@ class Refused(Exception):
 
 @dataclass
 class Gate:
-    """The checks before an application.
+    """The checks before an application."""
 
-    Attributes
-    ----------
-    inner : callable
-        The application; sees paths without the token.
-    access : Access
-    most_upload_bytes : int
-        Of the body of a path that begins with one of ``uploads``; `MOST_BODY_BYTES` for the others.
-    part_s, body_s : float
-        Limits of time.
-    """
-
-    inner: Application
+    inner: Application  # sees paths without the token
     access: Access
-    uploads: tuple[str, ...] = ()
+    uploads: tuple[str, ...] = ()  # beginnings of the paths whose bodies may have `most_upload_bytes`
     most_upload_bytes: int = MOST_UPLOAD_BYTES
     part_s: float = PART_S
     body_s: float = BODY_S
-    uploading: int = 0
+    uploading: int = 0  # now
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request."""
@@ -104,14 +189,12 @@ class Gate:
 
     async def _pass(self, scope: Scope, receive: Receive, send: Send) -> None:
         path, headers = scope["path"], scope["headers"]
-        hosts, origins = _values(headers, b"host"), _values(headers, b"origin")
-        reason = self.access.refusal(path, hosts, origins)
+        hosts, origins, sites, modes = (
+            _values(headers, name) for name in (b"host", b"origin", b"sec-fetch-site", b"sec-fetch-mode")
+        )
+        reason = self.access.refusal(path, hosts, origins, sites=sites, mode="".join(modes))
         if reason is not None:
             raise Refused(HTTPStatus.FORBIDDEN, reason)
-        if _values(headers, b"sec-fetch-site") == ["cross-site"] and _values(headers, b"sec-fetch-mode") != [
-            "navigate"
-        ]:
-            raise Refused(HTTPStatus.FORBIDDEN, "another web page may not connect")
         inner = self.access.inner_path(path)
         is_upload = scope["method"] == "POST" and inner.startswith(self.uploads) if self.uploads else False
         most = self.most_upload_bytes if is_upload else MOST_BODY_BYTES
@@ -185,8 +268,7 @@ def _values(headers: list[tuple[bytes, bytes]], name: bytes) -> list[str]:
 def _with_ours(headers: list[tuple[bytes, bytes]]) -> list[tuple[bytes, bytes]]:
     """Add the headers of every answer that it does not set itself."""
     known = {key.lower() for key, _ in headers}
-    ours = _HEADERS | {"Cache-Control": "no-store"}
-    more = [(k.lower().encode(), v.encode()) for k, v in ours.items() if k.lower().encode() not in known]
+    more = [(k.lower().encode(), v.encode()) for k, v in HEADERS.items() if k.lower().encode() not in known]
     return [*headers, *more]
 
 

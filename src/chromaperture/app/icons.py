@@ -15,18 +15,7 @@ ICONS = {"icon-192.png": (192, 0.80), "icon-512.png": (512, 0.80), "icon-maskabl
 
 
 def draw_icon(size_px: int, diameter: float) -> np.ndarray:
-    """Draw the pupil.
-
-    Parameters
-    ----------
-    size_px : int
-    diameter : float
-        Of the pupil, in sizes of the icon; systems cut a maskable one to 0.8.
-
-    Returns
-    -------
-    (size, size, 3) uint8 sRGB
-    """
+    """Draw the pupil, ``diameter`` in sizes of the icon: systems cut some to 0.8; (size, size, 3) uint8 sRGB."""
     n = size_px * _FINE
     y, x = (np.mgrid[:n, :n] + 0.5) / n - 0.5
     radius = np.hypot(x, y)

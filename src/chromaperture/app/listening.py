@@ -3,17 +3,51 @@
 from __future__ import annotations
 
 import logging
+import os
 import socket
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from chromaperture.app.certificate import NEEDS_EXTRA
-from chromaperture.app.live.access import require_host
 from chromaperture.system.errors import InputError, MissingDependencyError
 
 _MOST_CONNECTIONS = 64  # at a time; a browser opens six; chosen by hand
 _IDLE_S = 15  # seconds for the header of a request, and between requests; chosen by hand
+NEXT_PORTS = 100  # tried from the wanted one on, where any will do; chosen by hand
+
+
+def bound(host: str, port: int, *, ports: int = 1) -> socket.socket:
+    """Return a socket on a port, or on the next free one of so many; raises InputError naming the option to change."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host or None, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.bind(address)
+    except OSError as error:
+        raise InputError(f"cannot serve on {host} ({error}); give an address of this machine with --host") from None
+    problem: str | None = "there is no such port"
+    for number in range(port, min(port + ports, 65536)):
+        found = socket.socket(family, kind, protocol)
+        if os.name == "posix":  # elsewhere two servers on one port would share its requests
+            found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            found.bind((address[0], number, *address[2:]))
+            found.listen()  # a port that another server listens on fails here at the latest
+        except (OSError, OverflowError) as error:
+            found.close()
+            problem = getattr(error, "strerror", None) or str(error)
+        else:
+            return found
+    raise InputError(f"port {port} cannot be used ({problem}); choose another one with --port")
+
+
+def require_extra() -> None:
+    """Raise MissingDependencyError where the server's libraries are not installed."""
+    try:
+        import starlette  # noqa: F401
+        import uvicorn  # noqa: F401
+    except ImportError:
+        raise MissingDependencyError(NEEDS_EXTRA) from None
 
 
 def make_server(
@@ -21,33 +55,21 @@ def make_server(
     *,
     host: str,
     port: int,
+    ports: int = 1,
     certificate: tuple[Path, Path] | None = None,
     ready: Callable[[], None] = lambda: None,
 ) -> Any:
     """Return a server; its ``run`` serves until Ctrl-C, or until its ``should_exit`` is set.
 
-    Parameters
-    ----------
-    application : callable
-        From `make_app`.
-    host : str
-    port : int
-    certificate : (Path, Path), optional
-        Certificate and key, for https.
-    ready : callable, optional
-        Called when the server can be reached.
-
-    Raises
-    ------
-    InputError
-        Nothing can be served there.
-    MissingDependencyError
+    Of so many ``ports`` from ``port`` on the first free one is taken, which is the server's ``port``. ``certificate``
+    is a certificate and its key, for https; ``ready`` is called when the server can be reached. Raises InputError where
+    nothing can be served, MissingDependencyError without the extra.
     """
-    library, protocol = _uvicorn()
-    require_host(host)
-    _require_free(host, port)
+    require_extra()
+    import uvicorn
+    from uvicorn.protocols.http.h11_impl import H11Protocol
 
-    class Impatient(protocol()):  # type: ignore[misc]
+    class Impatient(H11Protocol):
         """Closes connections that send no request: uvicorn waits for the first one for ever."""
 
         def connection_made(self, transport: Any) -> None:
@@ -58,11 +80,16 @@ def make_server(
             if self.cycle is None and not self.transport.is_closing():
                 self.transport.close()
 
-    class Server(library().Server):  # type: ignore[misc]
+    class Server(uvicorn.Server):
+        port = 0
+
         async def startup(self, sockets: Any = None) -> None:
             await super().startup(sockets)
             if self.started:
                 ready()
+
+        def run(self, sockets: Any = None) -> None:
+            super().run(sockets or [listening])
 
     logging.getLogger("uvicorn.error").setLevel(logging.ERROR)  # its banner; every scan of the port
     options: dict[str, Any] = {
@@ -73,24 +100,7 @@ def make_server(
     }  # fmt: skip
     if certificate is not None:
         options |= {"ssl_certfile": str(certificate[0]), "ssl_keyfile": str(certificate[1])}
-    return Server(library().Config(application, host=host, port=port, **options))
-
-
-def _uvicorn() -> tuple[Callable[[], Any], Callable[[], Any]]:
-    """Return what gives the library, and its protocol in Python."""
-    try:
-        import uvicorn
-        from uvicorn.protocols.http.h11_impl import H11Protocol
-    except ImportError:
-        raise MissingDependencyError(NEEDS_EXTRA) from None
-    return lambda: uvicorn, lambda: H11Protocol
-
-
-def _require_free(host: str, port: int) -> None:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family, socket.SOCK_STREAM) as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            raise InputError(f"port {port} cannot be used ({error.strerror}); choose another one with --port") from None
+    server = Server(uvicorn.Config(application, **options))
+    listening = bound(host, port, ports=ports)
+    server.port = listening.getsockname()[1]
+    return server

@@ -15,18 +15,16 @@ from typing import Any, TypeVar
 import cv2
 
 from chromaperture.app.assistant_answers import AssistantAnswers
-from chromaperture.app.camera_answers import CameraAnswers
-from chromaperture.app.camera_feed import CameraFeed
-from chromaperture.app.certificate import NEEDS_EXTRA
+from chromaperture.app.camera_feed import CameraAnswers, CameraFeed
 from chromaperture.app.device_plan import color_tables
-from chromaperture.app.frame_message import pack_frame
-from chromaperture.app.gate import Gate, Refused, save_body
-from chromaperture.app.live.access import Access
-from chromaperture.app.live.free_space import require_space
+from chromaperture.app.free_space import require_space
+from chromaperture.app.gate import Access, Gate, Refused, save_body
+from chromaperture.app.listening import require_extra
+from chromaperture.app.messages import pack_frame
 from chromaperture.app.workbench import DEPTH_INSIDE, Workbench
 from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.system.errors import ChromapertureError, InputError, MissingDependencyError, lacks_memory
+from chromaperture.system.errors import ChromapertureError, InputError, lacks_memory
 
 T = TypeVar("T")
 UPLOADS = ("/api/frames", "/api/photos", "/api/cameras", "/api/sessions")  # whose bodies may be large
@@ -70,6 +68,30 @@ def static_files() -> dict[str, tuple[bytes, str]]:
     }
 
 
+def page_file(name: str, *, live: bool = False) -> Any:
+    """Return a file of the page; of a live loop the page says so."""
+    from starlette.responses import PlainTextResponse, Response
+
+    if name not in static_files():
+        return PlainTextResponse("there is no such page\n", status_code=404)
+    content, kind = static_files()[name]
+    if live and name == "index.html":
+        content = content.replace(b"<html ", b"<html data-live ", 1)
+    return Response(content, media_type=kind, headers={"Cache-Control": "no-cache"})
+
+
+async def page(request: Any) -> Any:
+    """Return a file of the page."""
+    return page_file(request.path_params.get("name") or "index.html")
+
+
+async def colors(request: Any) -> Any:
+    """Return the 257 colours of each map, the last for unknown pixels, so that every picture has the same."""
+    from starlette.responses import JSONResponse
+
+    return JSONResponse({n: t.tolist() for n, t in zip(("depth", "sigma"), color_tables(), strict=True)})
+
+
 class Answers:
     """The answer to each address, without the token."""
 
@@ -77,16 +99,6 @@ class Answers:
         self.workbench, self.certificate = workbench, certificate
         self.desk = Desk()
         self.is_calibrating: Callable[[], bool] = lambda: False
-
-    async def page(self, request: Any) -> Any:
-        """Return a file of the page."""
-        from starlette.responses import PlainTextResponse, Response
-
-        name = request.path_params.get("name") or "index.html"
-        if name not in static_files():
-            return PlainTextResponse("there is no such page\n", status_code=404)
-        content, kind = static_files()[name]
-        return Response(content, media_type=kind, headers={"Cache-Control": "no-cache"})
 
     async def about(self, request: Any) -> Any:
         """Return what the page needs to know at its start."""
@@ -100,12 +112,6 @@ class Answers:
             "folder": str(self.workbench.folder),
             "certificate": self.certificate is not None,
         })  # fmt: skip
-
-    async def colors(self, request: Any) -> Any:
-        """Return the 257 colours of each map, the last for unknown pixels, so that every picture has the same."""
-        from starlette.responses import JSONResponse
-
-        return JSONResponse({n: t.tolist() for n, t in zip(("depth", "sigma"), color_tables(), strict=True)})
 
     async def add_camera(self, request: Any) -> Any:
         """Keep a camera file."""
@@ -316,20 +322,11 @@ def make_app(
 ) -> Gate:
     """Put the server's application together, behind its checks; raises MissingDependencyError.
 
-    Parameters
-    ----------
-    workbench : Workbench
-    access : Access
-    certificate : Path, optional
-        Offered to phones.
-    feeds : sequence of CameraFeed
-        Cameras of the computer that the assistant may use.
+    The certificate is offered to phones; ``feeds`` are the computer's cameras that the assistant may use.
     """
-    try:
-        from starlette.applications import Starlette
-        from starlette.routing import Route
-    except ImportError:
-        raise MissingDependencyError(NEEDS_EXTRA) from None
+    require_extra()
+    from starlette.applications import Starlette
+    from starlette.routing import Route
 
     answers = Answers(workbench, certificate)
     cameras = CameraAnswers(feeds)
@@ -339,7 +336,7 @@ def make_app(
         *assistant.table(),
         *cameras.table(),
         ("GET", "/api/about", answers.about),
-        ("GET", "/api/colors", answers.colors),
+        ("GET", "/api/colors", colors),
         ("GET", "/api/certificate", answers.trust),
         ("POST", "/api/cameras", answers.add_camera),
         ("GET", "/api/cameras/{name}", answers.camera),
@@ -350,8 +347,8 @@ def make_app(
         ("GET", "/api/photos/{photo}/refocused", answers.refocus),
         ("GET", "/api/photos/{photo}/files", answers.photo_files),
         ("GET", "/api/photos/{photo}/embedded", answers.embedded),
-        ("GET", "/", answers.page),
-        ("GET", "/{name}", answers.page),
+        ("GET", "/", page),
+        ("GET", "/{name}", page),
     ]
     routes = [Route(path, said(answer), methods=[method]) for method, path, answer in table]
     return Gate(Starlette(routes=routes), access, uploads=UPLOADS)

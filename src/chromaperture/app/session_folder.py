@@ -72,12 +72,7 @@ class Shot:
 
 
 class SessionFolder:
-    """One session of the assistant.
-
-    Parameters
-    ----------
-    folder : Path
-    """
+    """One session of the assistant."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -85,13 +80,7 @@ class SessionFolder:
 
     @classmethod
     def create(cls, folder: Path, facts: Any) -> SessionFolder:
-        """Make the folder of a new session.
-
-        Raises
-        ------
-        InputError
-            The facts make no sense, or there is such a folder already.
-        """
+        """Make a new session's folder; raises InputError where the facts make no sense or there is such a folder."""
         known = checked(Facts, facts, where="this session")
         design_named(known.design)
         _plan(known, None, ".png")
@@ -135,10 +124,7 @@ class SessionFolder:
     def prepare(self, photograph: Path) -> Session:
         """Write session.toml by the first photograph, whose size and levels all others must have.
 
-        Raises
-        ------
-        InputError
-            It cannot be read, or a later one has another size.
+        Raises InputError where it cannot be read, or a later one has another size.
         """
         if not is_photograph(photograph):
             raise InputError(f"a file of the kind {photograph.suffix or 'without a name'} is not read; give RAW, PNG, "

@@ -18,16 +18,9 @@ _TINT = 0.10  # change of a channel ratio from the middle to the edge, as in `ev
 
 
 def check_sheet(image: np.ndarray, name: str, *, design: str, clear: np.ndarray | None = None) -> list[Check]:
-    """Check a photograph of a white sheet, the most urgent finding first.
+    """Check a photograph of a white sheet, (H, W, 3) float32, linear, the most urgent finding first.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear
-    name : str
-        Which sheet: ``open``, the design's name, or one of `SHEETS`.
-    design : str
-    clear : (3,) float, optional
-        Mean colour of the sheet through the open pupil.
+    Its name is ``open``, the design's, or one of `SHEETS`; ``clear`` is the mean colour, (3,), through the open pupil.
     """
     height, width = image.shape[:2]
     middle = image[height * 2 // 5 : height * 3 // 5, width * 2 // 5 : width * 3 // 5].reshape(-1, 3).astype(float)

@@ -9,8 +9,9 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.special import erf
 
-from chromaperture.app.edge_blur import edge_blur, pupil_spread
 from chromaperture.app.notes import heard
 from chromaperture.calibration.assemble_camera import assemble_camera, nominal_depth_model
 from chromaperture.calibration.calibration_config import DEFAULT
@@ -26,8 +27,9 @@ from chromaperture.depth.field import DepthField
 from chromaperture.evaluation.health import Check
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Film
-from chromaperture.optics.aperture import channel_transmission, design_named, made_of
+from chromaperture.optics.aperture import Aperture, channel_transmission, design_named, made_of
 from chromaperture.optics.pinhole import centered_pinhole
+from chromaperture.optics.pupil_samples import pupil_samples
 from chromaperture.settings.methods import QUALITIES
 from chromaperture.system.errors import ChromapertureError
 
@@ -43,48 +45,32 @@ _RULER, _SCALE = 0.12, 3.0  # ruler against pose by the engraved focal length: e
 _MOVED_PX, _MOVED_SIGMAS = 0.15, 4.0  # disparity against the curve of the earlier boards
 _VISIBLE_PX = 0.5  # expected disparity from which film must show
 _EDGE_PX = 4  # corners nearer to the frame's edge are probably cut off
+# Of the blur of a chessboard, from the edges between its squares.
+_EDGE_REACH = 0.42  # of a square, to either side of an edge: beyond lies the blur of the next edge; chosen by hand
+_PROFILE_SAMPLES = 61  # of a profile, more than the px it covers; chosen by hand
+_FEWEST_EDGES = 4  # edges of one direction; chosen by hand
+_PUPIL_CELLS = 32  # across the pupil; chosen by hand
+_GREEN = 1  # the channel in which corners are found
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What one photograph of the board tells; px are those of `Session.sensor`.
+    """What one photograph of the board tells; px are those of `Session.sensor`."""
 
-    Attributes
-    ----------
-    ruler_mm : float or None
-        None for a tilted board.
-    width_px : int
-        Of the pictures that px are of: `Session` reduces large photographs the more, the nearer its boards are.
-    corners_px : (N, 2) float or None
-    pose_mm : float
-        Distance of the board's middle from the sensor plane by its corners and the engraved focal length.
-    lean_deg : (float, float)
-        How far its left edge, and its top, lean towards the camera.
-    disparity_px, disparity_sigma_px : float
-        Of the middle of the frame; NaN for a tilted board.
-    pixel_sigma_px : float
-        Scatter of single pixels of disparity.
-    blur_px : (float, float)
-        Along x and y.
-    exposure : float or None
-        Of a sheet at two exposures: ms as typed, or time, gain and f-number together as the file states them.
-    is_exposure_typed : bool
-    tone : tuple of (level, exponent)
-        What it told together with another one, see `calibration.tone_curve.ToneCurve`; empty for the first one.
-    """
-
-    ruler_mm: float | None = None
-    width_px: int = 0
-    corners_px: np.ndarray | None = None
-    pose_mm: float = float("nan")
-    lean_deg: tuple[float, float] = (float("nan"), float("nan"))
-    disparity_px: float = float("nan")
+    ruler_mm: float | None = None  # None for a tilted board
+    width_px: int = (
+        0  # of the pictures that px are of: `Session` reduces large ones the more, the nearer its boards are
+    )
+    corners_px: np.ndarray | None = None  # (N, 2) float
+    pose_mm: float = float("nan")  # of the board's middle from the sensor plane, by corners and engraved focal length
+    lean_deg: tuple[float, float] = (float("nan"), float("nan"))  # of its left edge, and its top, towards the camera
+    disparity_px: float = float("nan")  # of the middle of the frame; NaN for a tilted board
     disparity_sigma_px: float = float("nan")
-    pixel_sigma_px: float = float("nan")
-    blur_px: tuple[float, float] = (float("nan"), float("nan"))
-    exposure: float | None = None
+    pixel_sigma_px: float = float("nan")  # scatter of single pixels of disparity
+    blur_px: tuple[float, float] = (float("nan"), float("nan"))  # along x and y
+    exposure: float | None = None  # of a sheet at two: ms as typed, or time, gain, f-number together by the file
     is_exposure_typed: bool = False
-    tone: tuple[tuple[float, float], ...] = ()
+    tone: tuple[tuple[float, float], ...] = ()  # (level, exponent) by two sheets, see `ToneCurve`; empty for the first
 
     def at_width(self, width_px: int) -> Reading:
         """Return the reading in px of pictures of another width."""
@@ -120,21 +106,10 @@ def check_board(
     notes: Sequence[str] = (),
     curve: DepthModel | None = None,
 ) -> CheckedShot:
-    """Check a photograph of the board square to the axis.
+    """Check a photograph, (H, W, 3) float32 from `Session.read`, of the board square to the axis.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32
-        From `Session.read`.
-    session : Session
-    ruler_mm : float
-        From the sensor plane.
-    range_mm : (near, far)
-        Between which disparities are searched.
-    notes : sequence of str
-        What reading the file warned of.
-    curve : DepthModel, optional
-        Fitted to the earlier boards; the engraved lens's when there are too few.
+    ``ruler_mm`` is from the sensor plane; disparities are searched between the ends of ``range_mm``; ``notes`` are what
+    reading the file warned of; ``curve`` was fitted to the earlier boards, the engraved lens's where they are too few.
     """
     checks = [_exposure(image), *_file(notes)]
     corners = find_corners(image[..., 1], session.inner_corners)
@@ -345,3 +320,67 @@ def read_for_check(session: Session, path: Path) -> tuple[np.ndarray, list[str]]
     with heard() as notes:
         image = session.read(path)
     return image, notes()
+
+
+def edge_blur(plane: np.ndarray, corners: np.ndarray, inner_corners: tuple[int, int]) -> tuple[float, float]:
+    """Measure the standard deviation of the blur across the edges of a chessboard, px along x and along y; NaN unknown.
+
+    Every stretch between two neighbouring corners, (N, 2) px from `find_corners`, is an edge of the linear plane (H,
+    W). Profiles across all edges of one direction are averaged, dark to bright, and the integral of a Gaussian is
+    fitted. Of a disc of radius r it finds about 0.5 r.
+    """
+    columns, rows = inner_corners
+    grid = corners.reshape(rows, columns, 2).astype(float)
+    found = {0: [], 1: []}  # type: dict[int, list[np.ndarray]]
+    lengths: dict[int, list[float]] = {0: [], 1: []}
+    for axis in (0, 1):
+        first, second = (grid[:-1], grid[1:]) if axis == 0 else (grid[:, :-1], grid[:, 1:])
+        for a, b in zip(first.reshape(-1, 2), second.reshape(-1, 2), strict=True):
+            length = float(np.linalg.norm(b - a))
+            across = np.array([-(b - a)[1], (b - a)[0]]) / max(length, 1e-6)
+            upright = int(abs(across[0]) < abs(across[1]))  # 0: the edge is upright, and is crossed along x
+            found[upright].append(_profile(plane, (a + b) / 2, across, (b - a) / length, _EDGE_REACH * length))
+            lengths[upright].append(length)
+    return _spread(found[0], lengths[0]), _spread(found[1], lengths[1])
+
+
+def _profile(
+    plane: np.ndarray, middle: np.ndarray, across: np.ndarray, along: np.ndarray, reach_px: float
+) -> np.ndarray:
+    """Sample across an edge, averaged over a third of its length."""
+    steps = np.linspace(-reach_px, reach_px, _PROFILE_SAMPLES)[None, :, None] * across
+    places = middle + steps + np.linspace(-0.4, 0.4, 5)[:, None, None] * reach_px * along
+    maps = places.astype(np.float32)
+    sampled = cv2.remap(plane, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    profile = np.asarray(sampled.mean(axis=0), float)
+    return (
+        profile if profile[-_PROFILE_SAMPLES // 4 :].mean() > profile[: _PROFILE_SAMPLES // 4].mean() else profile[::-1]
+    )
+
+
+def _spread(profiles: list[np.ndarray], lengths: list[float]) -> float:
+    if len(profiles) < _FEWEST_EDGES:
+        return float("nan")
+    mean, reach = np.mean(profiles, axis=0), _EDGE_REACH * float(np.mean(lengths))
+    t = np.linspace(-reach, reach, _PROFILE_SAMPLES)
+    low, high = float(mean.min()), float(mean.max())
+    if not high > low:
+        return float("nan")
+
+    def residual(p: np.ndarray) -> np.ndarray:
+        level = p[0] + p[1] * erf((t - p[2]) / (np.sqrt(2) * np.exp(p[3])))
+        return np.asarray((level - mean) / (high - low))
+
+    start = np.array([(low + high) / 2, (high - low) / 2, 0.0, np.log(reach / 4)])
+    fit = least_squares(residual, start)
+    sigma = float(np.exp(fit.x[3]))
+    return sigma if 0 < sigma < 2 * reach else float("nan")
+
+
+def pupil_spread(aperture: Aperture) -> tuple[float, float]:
+    """Return the standard deviation of the pupil's light in green, along x and y; pupil radii."""
+    points, light = pupil_samples(aperture, _PUPIL_CELLS)
+    weight = light[:, _GREEN] / light[:, _GREEN].sum()
+    mean = weight @ points
+    x, y = np.sqrt(np.maximum(weight @ (points - mean) ** 2, 0))
+    return float(x), float(y)

@@ -43,21 +43,9 @@ def check_exposed(image: np.ndarray) -> Check:
 def check_tone(
     first: Exposed, second: Exposed, *, design: str, is_encoded: bool = True
 ) -> tuple[list[Check], ToneCurve | None]:
-    """Compare two exposures of one scene.
+    """Compare two exposures of one scene; returns checks, and the curve, None where the pictures tell nothing.
 
-    Parameters
-    ----------
-    first, second : Exposed
-    design : str
-        Of the film, for what the finding costs.
-    is_encoded : bool
-        The files are of 8 bits and were decoded as sRGB.
-
-    Returns
-    -------
-    checks : list of Check
-    curve : ToneCurve or None
-        None where the pictures tell nothing.
+    ``design`` is for what the finding costs; ``is_encoded``: files of 8 bits, decoded as sRGB.
     """
     ratio = max(first.exposure, second.exposure) / min(first.exposure, second.exposure)
     if ratio < LEAST_RATIO:

@@ -23,7 +23,7 @@ from typing import Any, cast
 import numpy as np
 
 from chromaperture.app.device_plan import MOST_PX, make_plan, make_points
-from chromaperture.app.live.free_space import RESERVE_BYTES, require_space
+from chromaperture.app.free_space import RESERVE_BYTES, require_space
 from chromaperture.app.notes import heard
 from chromaperture.app.session_folder import Holding
 from chromaperture.camera.camera import CodedApertureCamera
@@ -37,7 +37,7 @@ from chromaperture.effects.transfer_functions import radius_per_disparity
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.frame_files import OUTPUTS, write_format
 from chromaperture.model.camera_file import Calibration
-from chromaperture.model.scale import reduced_size
+from chromaperture.model.scale import reduced_size, resized
 from chromaperture.products.measure_file import MeasuredFile, measure_only
 from chromaperture.settings.methods import QUALITIES
 from chromaperture.system.errors import InputError
@@ -68,19 +68,8 @@ class Photo:
 class Workbench:
     """Cameras and photographs of one app.
 
-    Parameters
-    ----------
-    folder : Path
-        Of everything that is kept: ``cameras/``, ``sessions/``, ``photos/``.
-    camera : Path, optional
-        The camera file that the page begins with.
-    reserve_bytes : int
-        Of the disk, that stay free.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be written, or the camera file cannot be read.
+    The folder keeps ``cameras/``, ``sessions/`` and ``photos/``; the page begins with ``camera``, a file; so many bytes
+    of the disk stay free. Raises InputError where the folder cannot be written, or the camera file cannot be read.
     """
 
     def __init__(self, folder: Path, camera: Path | None = None, *, reserve_bytes: int = RESERVE_BYTES) -> None:
@@ -114,10 +103,7 @@ class Workbench:
     def add_camera(self, name: str, source: Path) -> str:
         """Keep a camera file that the page sent; returns its name.
 
-        Raises
-        ------
-        InputError
-            It is no camera file, there are too many, or another camera has the name.
+        Raises InputError where it is no camera file, there are too many, or another camera has the name.
         """
         stem = re.sub(r"[^A-Za-z0-9_-]+", "-", Path(name).stem).strip("-_")[:60] or "camera"
         data = source.read_bytes()
@@ -187,29 +173,16 @@ class Workbench:
         eye = self.eye(name, quality)
         if min(size_px) < 1 or math.prod(size_px) > MOST_PX or not eye.calibration.is_calibrated:
             raise InputError("points are made of the maps of a calibrated camera, of up to 4 megapixels")
-        return make_points(eye.at_size(*size_px))
+        return make_points(resized(eye.calibration, *size_px), eye.config.quality)
 
     # ---- measuring
 
     def measure_pixels(
         self, data: bytes, size_px: tuple[int, int], *, camera: str, quality: str
     ) -> tuple[DepthFrame, list[str]]:
-        """Measure one frame of the page's camera.
+        """Measure one frame of the page's camera; returns it and sentences about it; raises InputError.
 
-        Parameters
-        ----------
-        data : bytes
-            R, G, B of 8 bits, row by row, as a browser decodes a video; taken for sRGB.
-        size_px : (width, height)
-        camera, quality : str
-
-        Returns
-        -------
-        DepthFrame, and a list of sentences about it
-
-        Raises
-        ------
-        InputError
+        ``data`` is R, G, B of 8 bits, row by row, as a browser decodes a video; taken for sRGB.
         """
         width, height = size_px
         if min(size_px) < 1 or len(data) != 3 * width * height:
@@ -246,29 +219,11 @@ class Workbench:
     def refocused(
         self, key: str, *, at: tuple[float, float] | None, f_number: float | None, background: str, sharpness: str
     ) -> np.ndarray:
-        """Return the photograph of another lens.
+        """Return the photograph ``key``, of `measure_photo`, by another lens; (H, W, 3) uint8 sRGB; raises InputError.
 
-        Parameters
-        ----------
-        key : str
-            From `measure_photo`.
-        at : (x, y), optional
-            Place to focus on, fractions of width and height; the camera's own focus when absent.
-        f_number : float, optional
-            Of the new lens; the camera's own when absent.
-        background : str
-            keep, desaturate or blur.
-        sharpness : str
-            ``preview``, at once: the colours and the blur of the measured frame; or aligned, fast or full, which are
-            restored first, see `restore`.
-
-        Returns
-        -------
-        (H, W, 3) uint8 sRGB
-
-        Raises
-        ------
-        InputError
+        ``at`` is the place to focus on, fractions of width and height; focus and f-number are the camera's own by
+        default. The background is kept, desaturated or blurred. ``sharpness`` is ``preview``, at once, with colours and
+        blur of the measured frame; or aligned, fast or full, which are restored first, see `restore`.
         """
         if background not in BACKGROUND_EFFECTS:
             raise InputError(f"unknown background effect {background!r}: choose {', '.join(BACKGROUND_EFFECTS)}")
@@ -293,10 +248,8 @@ class Workbench:
     def with_depth_inside(self, key: str, output: str = DEPTH_INSIDE[0]) -> bytes:
         """Return a photograph with its depth inside, as ``chromaperture depth --write gdepth`` writes it.
 
-        Raises
-        ------
-        InputError
-            The photograph is no longer kept, no pixel's depth is known well enough, or the format is another one.
+        Raises InputError where it is no longer kept, no pixel's depth is known well enough, or the format is another
+        one.
         """
         photo = self.photo(key)
         if output not in DEPTH_INSIDE:

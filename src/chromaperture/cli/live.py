@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from chromaperture.app.live.free_space import RESERVE_BYTES
+from chromaperture.app.free_space import RESERVE_BYTES
 from chromaperture.app.live.watchdog import WATCHDOG_S, Watchdog
 from chromaperture.cli.options import (
     BlackLevel,
@@ -81,7 +81,8 @@ def live(
 
     Example: chromaperture live "webcam:0?exposure_us=5000" --camera camera.asdf
     """
-    from chromaperture.app.live.access import is_every_address, viser
+    from chromaperture.app.gate import is_every_address
+    from chromaperture.app.listening import require_extra
     from chromaperture.app.live.loop import FUSE_EVERY, LiveLoop
     from chromaperture.app.live.page import LivePage
     from chromaperture.cli.checks import film_doubts
@@ -91,7 +92,7 @@ def live(
     from chromaperture.reconstruction.settings import ReconstructionConfig
 
     if page:
-        viser()  # before the work: the extra may be missing
+        require_extra()  # before the work: it may be missing
     config = ReconstructionConfig(voxel_mm=voxel_mm, memory_mb=memory_mb, fuse_every=FUSE_EVERY)
     eye = camera_for(out, camera, None, quality=quality, config=None, device=device)
     compile_kernels(quality, quiet=quiet)
@@ -124,7 +125,7 @@ def live(
         if shown is not None:  # with --quiet too: without its token nobody can open the page
             typer.echo(f"Look at {shown.url}; Ctrl-C ends it", err=json or quiet)
             if is_every_address(host):
-                elsewhere = shown.access.url(shown.server.get_port(), host=socket.gethostname())
+                elsewhere = shown.access.url(shown.port, host=socket.gethostname())
                 typer.echo(f"From other machines: {elsewhere}", err=json or quiet)
         if stream_to is not None:
             from chromaperture.app.live.streaming import Streaming

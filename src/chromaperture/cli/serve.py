@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from chromaperture.app.live.free_space import RESERVE_BYTES
+from chromaperture.app.free_space import RESERVE_BYTES
 from chromaperture.cli.options import CameraOrDesign, Quiet
 
 PORT = 8733  # of no service that is registered; the same every time, because an installed app keeps its address
@@ -50,8 +50,8 @@ def serve(
     """
     from chromaperture.app.camera_feed import CameraFeed
     from chromaperture.app.certificate import kept_certificate, kept_token, own_names, qr_code, state_folder
+    from chromaperture.app.gate import Access
     from chromaperture.app.listening import make_server
-    from chromaperture.app.live.access import Access
     from chromaperture.app.server import make_app
     from chromaperture.app.workbench import Workbench
     from chromaperture.cli.console import compile_kernels

@@ -34,7 +34,7 @@ def view(
 
     chromaperture view camera.asdf --out camera.html
     """
-    from chromaperture.app.live.serve_page import PageServer
+    from chromaperture.app.page_server import PageServer
     from chromaperture.files.map_page import render
     from chromaperture.system.storage import staged
 
@@ -59,7 +59,7 @@ def view(
 
 def page_of(file: Path, quality: str) -> Page:
     """Return the page of a result or a camera; raises InputError where the file is neither."""
-    from chromaperture.app.live.result_page import camera_page, result_page
+    from chromaperture.app.result_page import camera_page, result_page
     from chromaperture.model.camera_file import Calibration
     from chromaperture.products.result_files import read_result
 

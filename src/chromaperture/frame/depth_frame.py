@@ -193,7 +193,7 @@ class DepthFrame:
     def show_points(
         self, *, max_relative_sigma: float = MAX_RELATIVE_SIGMA, most_points: int = MOST_POINTS, height_px: int = 400
     ) -> PointsView:
-        """Return the points as a notebook shows them: turned with the mouse, without a server; needs ``viewer``.
+        """Return the points as a notebook shows them: turned with the mouse, without a server.
 
         Parameters
         ----------
@@ -208,8 +208,6 @@ class DepthFrame:
         ------
         InputError
             As `points`.
-        MissingDependencyError
-            The extra ``viewer`` is not installed.
         """
         from chromaperture.frame.points_view import points_view
 

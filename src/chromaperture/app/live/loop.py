@@ -6,29 +6,28 @@ A slow stage costs frames, not latency: it takes the newest item.
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import functools
 import gc
+import re
 import threading
 import time
+from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from chromaperture.app.live.free_space import RESERVE_BYTES, require_space
-from chromaperture.app.live.notices import RareNotices
-from chromaperture.app.live.old_submaps import forget_old
+from chromaperture.app.free_space import RESERVE_BYTES, require_space
 from chromaperture.app.live.slots import Meter, Slot
-from chromaperture.app.live.tidying import tidy, trim_memory
-from chromaperture.app.live.trail import Trail
 from chromaperture.app.live.watchdog import Watchdog
 from chromaperture.camera.camera import Begun, CodedApertureCamera, DepthFrame
 from chromaperture.capture.recording import Recorder
 from chromaperture.capture.source import Frame, Source
-from chromaperture.depth.error_limit import within_error
 from chromaperture.products.rectified import undistorter
-from chromaperture.reconstruction.fusion import Placed, Reconstruction
+from chromaperture.reconstruction.fusion import Placed, Reconstruction, Submap
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.volume import Mesh, open3d
 from chromaperture.system.errors import ChromapertureError, InputError
@@ -38,6 +37,9 @@ _PATIENCE_S = 0.5  # of depth with tracking: then the page goes on without a mod
 FUSE_EVERY = 2  # frames of a camera lie close together: docs/reconstruction.md
 _MESH_REST = 10.0  # pause after a mesh in units of its duration, while nothing is tracked; by hand
 _JOIN_S = 30.0  # for all stages together when the loop ends, then for a recording: a slow frame and disk; by hand
+_NOTICE_S = 60.0  # between two lines of a kind: a minute of a fault is one line. Chosen by hand
+_MOST_KINDS = 100  # of lines remembered, chosen by hand; of more, the oldest may be said again at once
+_MOST_PLACES = 2000  # of a path
 
 
 @dataclass(frozen=True)
@@ -61,35 +63,9 @@ class _Ahead(NamedTuple):
 class LiveLoop:
     """Run the stages; a context manager that stops and joins them on exit.
 
-    Parameters
-    ----------
-    source : Source
-        Entered by the caller.
-    camera : CodedApertureCamera
-        Calibrated.
-    track : bool
-        Track the camera and build the model; needs the extra ``reconstruct``.
-    config : ReconstructionConfig, optional
-    listener : callable, optional
-        Receives messages for the user, one line each, from any thread.
-    mesh_every_s : float
-        Interval of meshes of the growing model while a browser is connected.
-    reserve_bytes : int
-        What recordings leave free of the disk.
-    tidy_every_s : float
-        Interval in which memory that nothing uses is freed, see `tidy`.
-    watchdog : Watchdog, optional
-        Entered by the caller. By default nothing is said about a stage that hangs.
-    on_first : callable, optional
-        Receives the first frame that was measured, from the thread that measures; what it returns is said, unless it
-        is empty.
-
-    Attributes
-    ----------
-    latest : str
-        The last message for the user.
-    to_stream : Slot, optional
-        Receives every measurement, beside the page; set before the loop runs.
+    Source and watchdog are entered by the caller; by default nothing is said about a stage that hangs. ``track`` needs
+    the extra ``reconstruct``. ``listener`` receives messages for the user, one line each, from any thread, ``on_first``
+    the first frame that was measured, from the thread that measures; what it returns is said, unless it is empty.
     """
 
     def __init__(
@@ -100,8 +76,8 @@ class LiveLoop:
         track: bool = True,
         config: ReconstructionConfig | None = None,
         listener: Callable[[str], None] = lambda line: None,
-        mesh_every_s: float = 5.0,
-        reserve_bytes: int = RESERVE_BYTES,
+        mesh_every_s: float = 5.0,  # of the growing model, while a page asks
+        reserve_bytes: int = RESERVE_BYTES,  # of the disk, that recordings leave free
         tidy_every_s: float = 20.0,
         watchdog: Watchdog | None = None,
         on_first: Callable[[Frame], str] = lambda frame: "",
@@ -109,7 +85,8 @@ class LiveLoop:
         if track:
             open3d()
         self.source, self.camera, self.reserve_bytes = source, camera, reserve_bytes
-        self.latest, self._listener, self._rarely = "", listener, RareNotices(listener)
+        self.latest = ""  # the last message for the user
+        self._listener, self._rarely = listener, RareNotices(listener)
         self.watchdog, self._tidy_every_s = watchdog or Watchdog(), tidy_every_s
         self.meters = {name: Meter() for name in STAGES}
         self.paused, self.over = threading.Event(), threading.Event()
@@ -123,7 +100,7 @@ class LiveLoop:
         self._leave = threading.Event()
         self._to_depth, self._to_track = Slot[tuple[float, Frame]](), Slot[Measured]()
         self.to_view = Slot[Measured]()
-        self.to_stream: Slot[Measured] | None = None
+        self.to_stream: Slot[Measured] | None = None  # every measurement, beside the page; set before the loop runs
         self._to_disk: Slot[Frame] | None = None
         self._recorder: threading.Thread | None = None
         self._starting = threading.Lock()  # two clicks at once start one recording
@@ -181,10 +158,7 @@ class LiveLoop:
     def record(self, folder: str | Path) -> None:
         """Start recording, without slowing the loop; a nearly full disk ends the recording, not the loop.
 
-        Raises
-        ------
-        InputError
-            Less of the disk is free than recordings leave.
+        Raises InputError where less of the disk is free than recordings leave.
         """
         with self._starting:
             if self.recording:
@@ -380,10 +354,86 @@ def one_line(error: BaseException) -> str:
     return text if text and isinstance(error, ChromapertureError) else f"{type(error).__name__}: {text}".rstrip(": ")
 
 
-def within_limits(measured: Measured, *, max_sigma: float, near_mm: float, far_mm: float) -> Measured:
-    """Remove depth with wide error bars, relative to the distance, and depth out of range."""
-    depth_mm = within_error(measured.measurement.depth_mm, measured.measurement.sigma_mm, max_sigma)
-    with np.errstate(invalid="ignore"):
-        kept = (depth_mm >= near_mm) & (depth_mm <= far_mm)
-    kept_mm = np.where(kept, depth_mm, np.float32(np.nan))
-    return replace(measured, measurement=replace(measured.measurement, depth_mm=kept_mm))
+def forget_old(model: Reconstruction, most_bytes: int, *, listener: Callable[[str], None] = lambda line: None) -> None:
+    """Empty the oldest submaps until meshes and keyframes of those that no longer grow fit into the memory.
+
+    A camera that is lost often begins one after another. Their numbers stay, so that no other submap changes its own.
+    """
+    left = most_bytes
+    for number in reversed(range(len(model.submaps) - 1)):
+        submap = model.submaps[number]
+        left -= _bytes_of(submap)
+        if left < 0 and submap.keyframes:
+            submap.keyframes = []
+            submap.mesh = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32), np.zeros((0, 3), np.uint8))
+            listener(f"submap {number} is forgotten: older submaps take more than --memory-mb")
+
+
+def _bytes_of(submap: Submap) -> int:
+    mesh = submap.mesh
+    vertices = 0 if mesh is None else mesh.vertices_mm.nbytes + mesh.triangles.nbytes + mesh.colors.nbytes
+    arrays = ((key.thumbnail, key.grey, key.z_mm, key.sigma_mm) for key in submap.keyframes)
+    return vertices + sum(array.nbytes for each in arrays for array in each)
+
+
+def tidy() -> None:
+    """Free what only refers to itself, and return it to the system: Python's collector hardly looks at old objects."""
+    gc.collect()
+    trim_memory()
+
+
+def trim_memory() -> None:
+    """Return freed memory to the system: glibc keeps fragments freed by many threads, and grows for hours."""
+    if (trim := _trim()) is not None:
+        trim(0)
+
+
+@functools.cache  # a CDLL is a reference cycle: create one only
+def _trim() -> Callable[[int], int] | None:
+    with contextlib.suppress(OSError, AttributeError):
+        trim: Callable[[int], int] = ctypes.CDLL("libc.so.6").malloc_trim
+        return trim
+    return None  # not glibc
+
+
+class RareNotices:
+    """Pass a line on unless one of its kind, equal but for numbers, was passed on lately: a live loop runs for days.
+
+    A later line of its kind says how many were left out.
+    """
+
+    def __init__(self, listener: Callable[[str], None], *, pause_s: float = _NOTICE_S) -> None:
+        self._listener, self._pause_s = listener, pause_s
+        self._said: OrderedDict[str, tuple[float, int]] = OrderedDict()  # kind: when, left out since
+        self._changing = threading.Lock()
+
+    def __call__(self, line: str) -> None:
+        """Pass one line on, or count it."""
+        kind, now = re.sub(r"\d+", "0", line), time.monotonic()
+        with self._changing:
+            when, left_out = self._said.get(kind, (float("-inf"), 0))
+            if now - when < self._pause_s:
+                self._said[kind] = (when, left_out + 1)
+                return
+            self._said[kind] = (now, 0)
+            self._said.move_to_end(kind)
+            while len(self._said) > _MOST_KINDS:
+                self._said.popitem(last=False)
+        self._listener(f"{line} ({left_out} more like it since the last)" if left_out else line)
+
+
+class Trail:
+    """Positions of a camera, evenly thinned: when there are too many, every second is kept, then every fourth."""
+
+    def __init__(self, most: int = _MOST_PLACES) -> None:
+        self.points_mm: list[np.ndarray] = []  # (3,) float64; a new list after every change, for other threads
+        self._most, self._step, self._count = most, 1, 0
+
+    def add(self, point_mm: np.ndarray) -> None:
+        """Add a position, unless it is thinned out."""
+        if self._count % self._step == 0:
+            points = [*self.points_mm, point_mm.copy()]
+            if len(points) > self._most:
+                points, self._step = points[::2], 2 * self._step
+            self.points_mm = points
+        self._count += 1

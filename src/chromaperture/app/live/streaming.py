@@ -14,15 +14,9 @@ _JOIN_S = 5.0  # for the last message at the end; chosen by hand
 
 
 class Streaming:
-    """Take every measurement of a loop and send it; a context manager around the running loop.
+    """Take every measurement of a loop and send it; a context manager entered before the loop runs.
 
     A live source is never slowed down: frames that come faster than they are sent are left out.
-
-    Parameters
-    ----------
-    loop : LiveLoop
-        Not running yet.
-    stream : FoxgloveStream
     """
 
     def __init__(self, loop: LiveLoop, stream: FoxgloveStream) -> None:

@@ -37,17 +37,8 @@ class _Pass:
 class Watchdog:
     """Look at the stages of the live loop from a thread; a context manager.
 
-    Parameters
-    ----------
-    seconds : float
-        How long a stage may take; inf for ever.
-    listener : callable
-        Receives one line when a stage hangs, and one when it went on.
-
-    Raises
-    ------
-    InputError
-        ``seconds`` is not positive.
+    The listener receives one line when a stage takes longer than so many seconds, and one when it went on; inf: never.
+    Raises InputError for seconds that are not positive.
     """
 
     def __init__(self, seconds: float = WATCHDOG_S, *, listener: Callable[[str], None] = lambda line: None) -> None:

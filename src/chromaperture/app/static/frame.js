@@ -20,7 +20,7 @@ export class ServerMeasurer {
   close() {}
 }
 
-// The message that app/frame_message.py packs: JSON, depth and error bar in counts, colours as JPEG.
+// The message that app/messages.py packs: JSON, depth and error bar in counts, colours as JPEG.
 export async function unpack(buffer, camera, quality) {
   const length = new DataView(buffer).getUint32(0, true);
   const facts = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
@@ -29,12 +29,13 @@ export async function unpack(buffer, camera, quality) {
     const { first, step } = facts[name];
     return Float32Array.from(new Uint16Array(buffer, 4 + length + 2 * pixels * i, pixels), (count) => (count ? first + count * step : NaN));
   });
-  const jpeg = new Blob([new Uint8Array(buffer, 4 + length + 4 * pixels, facts.color_bytes)], { type: "image/jpeg" });
-  const bitmap = await createImageBitmap(jpeg);
-  return new StillFrame(facts, { depth, sigma, bitmap }, { geometry: () => pointsGeometry({ camera, quality }, facts.width, facts.height) });
+  const at = 4 + length + 4 * pixels, jpeg = new Blob([new Uint8Array(buffer, at, facts.color_bytes)], { type: "image/jpeg" });
+  const bitmap = await createImageBitmap(jpeg), hidden = facts.hidden_bytes ? new Uint8Array(buffer, at + facts.color_bytes) : undefined;
+  return new StillFrame(facts, { depth, sigma, bitmap, hidden }, { geometry: () => pointsGeometry({ camera, quality }, facts.width, facts.height) });
 }
 
 export const MOST_RELATIVE = 0.1;  // error bar over depth, as depth/error_limit.py: beyond, colours are dark
+const EVERY = 7;  // pixel of which a median is taken
 const READ = 2;  // px about the place that is touched
 
 // Depth and error bar of the pixel with the median depth: the mean of two depths belongs to no surface.
@@ -44,20 +45,21 @@ export function medianAt(depths, sigmas) {
   return { depth, sigma };
 }
 
-// A frame whose maps are here: depth and error bar, NaN unknown, and the colours as a bitmap.
+// A frame whose maps are here: depth and error bar, NaN unknown, the colours as a bitmap, and bits of the pixels that are no
+// points. Its `limits` are what is shown: the longest error bar (of the depth), the nearest and the farthest depth, mm.
 export class StillFrame {
-  constructor(facts, { depth, sigma, bitmap }, { geometry, colors }) { Object.assign(this, { facts, depth, sigma, bitmap, geometry, colors }); }
+  constructor(facts, { depth, sigma, bitmap, hidden }, { geometry, colors }) { Object.assign(this, { facts, depth, sigma, bitmap, hidden, geometry, colors, limits: {} }); }
 
   // colors: {depth, sigma}, 257 colours each, the last of unknown pixels
   draw(context, view, colors) {
     const { width, height } = this.facts;
     if (view === "color") return context.drawImage(this.bitmap, 0, 0, width, height);
-    const { low, high, unit } = this.facts[view], values = this[view], { sigma } = this;
+    const { low, high, unit } = this.facts[view], values = this[view], { depth, sigma } = this, { most = MOST_RELATIVE, near = -Infinity, far = Infinity } = this.limits;
     const packed = colors[view].map(([r, g, b]) => (255 << 24 | b << 16 | g << 8 | r) >>> 0), pale = packed.map((color) => mix(color, packed[256]));
     const picture = context.createImageData(width, height), out = new Uint32Array(picture.data.buffer);
-    const limit = view === "depth" && unit === "mm" ? MOST_RELATIVE : Infinity, scale = 256 / (high - low);
+    const limit = view === "depth" && unit === "mm" ? most : Infinity, scale = 256 / (high - low);
     for (let i = 0; i < values.length; i++) {
-      const value = values[i], level = Number.isNaN(value) ? 256 : Math.max(0, Math.min(255, Math.floor((value - low) * scale)));
+      const value = values[i], level = !(depth[i] >= near && depth[i] <= far) ? 256 : Math.max(0, Math.min(255, Math.floor((value - low) * scale)));
       out[i] = limit === Infinity || sigma[i] <= limit * value ? packed[level] : pale[level];
     }
     context.putImageData(picture, 0, 0);
@@ -71,6 +73,14 @@ export class StillFrame {
         sigmas.push(this.sigma[v * width + u]);
       }
     return { ...medianAt(depths, sigmas), unit };
+  }
+
+  // Median depth and error bar of some of the pixels within the limits, and the part that these are of all.
+  median() {
+    const { depth, sigma } = this, { most = MOST_RELATIVE, near = -Infinity, far = Infinity } = this.limits, depths = [], sigmas = [];
+    for (let i = 0; i < depth.length; i += EVERY) if (sigma[i] <= most * depth[i] && depth[i] >= near && depth[i] <= far) { depths.push(depth[i]); sigmas.push(sigma[i]); }
+    const middle = (values) => values.sort((a, b) => a - b)[values.length >> 1];
+    return { depth: middle(depths), sigma: middle(sigmas), part: depths.length / Math.ceil(depth.length / EVERY) };
   }
 
   // Depth, error bar, and the colours as bytes (RGBA): what points are made of.

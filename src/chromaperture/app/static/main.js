@@ -4,6 +4,7 @@ import { loadCameras, startCameras } from "./cameras.js";
 import { startAssistant } from "./assistant.js";
 import { startLive, stop as stopLive } from "./live.js";
 import { startPhoto } from "./photo.js";
+import { startWatch } from "./watch.js";
 
 const tabs = [...document.querySelectorAll("[role=tab]")];
 
@@ -32,11 +33,15 @@ for (const [i, tab] of tabs.entries()) {
   });
 }
 
-startCameras();
-startLive();
-startPhoto();
-startAssistant();
-const wanted = tabs.find((tab) => `#${tab.getAttribute("aria-controls")}` === location.hash);
-if (wanted) open(wanted);
-attempt(() => loadCameras());
-if ("serviceWorker" in navigator) navigator.serviceWorker.register("sw.js").catch((error) => console.info("not kept for offline use:", error.message));
+if ("live" in document.documentElement.dataset) {  // of `chromaperture live`, which measures by itself, with one camera
+  attempt(startWatch);
+} else {
+  startCameras();
+  startLive();
+  startPhoto();
+  startAssistant();
+  const wanted = tabs.find((tab) => `#${tab.getAttribute("aria-controls")}` === location.hash);
+  if (wanted) open(wanted);
+  attempt(() => loadCameras());
+  if ("serviceWorker" in navigator) navigator.serviceWorker.register("sw.js").catch((error) => console.info("not kept for offline use:", error.message));
+}

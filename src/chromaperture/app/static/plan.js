@@ -15,7 +15,7 @@ export async function unpackMessage(buffer) {
   return text;
 }
 
-// The inverse of app/packed_arrays.py.
+// The inverse of app/messages.py.
 async function unpackArray(data) {
   const planes = await inflated(data), count = planes.length / 4, bits = new Int32Array(count);
   for (let i = 0, step = 0, value = 0; i < count; i++) {

@@ -2,7 +2,7 @@
 const NAME = "chromaperture-page";
 const FILES = [
   "./", "app.css", "api.js", "assistant.js", "cameras.js", "capture.js", "charts.js", "frame.js", "live.js", "main.js",
-  "manifest.webmanifest", "measurers.js", "photo.js", "photo_file.js", "plan.js", "points.js", "sources.js", "store.js", "tiff.js", "video_planes.js", "viewer.js", "webgpu.js", "icon-192.png", "icon-512.png", "icon-maskable-512.png",
+  "manifest.webmanifest", "measurers.js", "photo.js", "photo_file.js", "plan.js", "points.js", "sources.js", "store.js", "tiff.js", "video_planes.js", "viewer.js", "watch.js", "webgpu.js", "icon-192.png", "icon-512.png", "icon-maskable-512.png",
 ];
 
 self.addEventListener("install", (event) => {

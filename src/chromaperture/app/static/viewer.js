@@ -20,7 +20,7 @@ export class Viewer {
     this.mark = make("div", { class: "mark", hidden: true });
     this.bar = make("canvas", { width: 256, height: 1, "aria-hidden": "true" });
     this.ends = [make("span"), make("span")];
-    this.note = make("span", { text: `dark: error bar above ${100 * MOST_RELATIVE} %` });
+    this.note = make("span");
     this.scale = make("div", { class: "scale", hidden: true }, this.ends[0], this.bar, this.ends[1], this.note);
     this.buttons = Object.entries(views).map(([name, label]) =>
       make("button", { text: label, "aria-pressed": "false", "data-view": name, onclick: () => this.show(name) }));
@@ -82,6 +82,7 @@ export class Viewer {
     this.ends[0].textContent = `${round(map.low)} ${map.unit}`;
     this.ends[1].textContent = `${round(map.high)} ${map.unit}`;
     this.note.hidden = name !== "depth";
+    this.note.textContent = `dark: error bar above ${Number((100 * (this.frame.limits?.most ?? MOST_RELATIVE)).toPrecision(3))} %`;
   }
 
   // The newest frame's points; while one is read back, later frames pass by.
@@ -92,7 +93,7 @@ export class Viewer {
     await attempt(async () => {
       this.points ??= new PointsCanvas(this.pointsCanvas);
       const count = await this.points.setFrame(frame);
-      this.pointsCanvas.setAttribute("aria-label", `${count} points. Drag or arrow keys turn them, wheel or two fingers come nearer.`);
+      this.pointsCanvas.setAttribute("aria-label", `${count} points. Drag or arrow keys turn them, wheel or two fingers come nearer, shift or the right button moves.`);
     });
     this.isReading = false;
   }

@@ -12,12 +12,7 @@ RESERVE_BYTES = 2 * 2**30
 
 
 def require_space(folder: str | Path, needed_bytes: int, reserve_bytes: int) -> None:
-    """Refuse to write so many bytes when less than the reserve would stay free.
-
-    Raises
-    ------
-    InputError
-    """
+    """Raise InputError where less than the reserve would stay free after writing so many bytes."""
     existing = Path(folder).absolute()
     while not existing.exists():
         existing = existing.parent
