@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from chromaperture.camera import load_camera
-from chromaperture.capture import playback
+from chromaperture.capture import threaded_source
 from chromaperture.capture.recording import Recorder, ReplaySource
 from chromaperture.capture.source import Event, FileSource, Frame
 from chromaperture.capture.threaded_source import LiveSource, StreamEndedError
@@ -316,14 +316,14 @@ def test_damaged_frames_and_errors_of_the_driver_end_no_live_source():
 def test_a_clock_that_was_set_while_recording_delays_nothing_in_the_playback(jump_s, monkeypatch):
     """The frames before and after keep their pace; the jump itself lasts no longer than a gap may."""
     clock = SimpleNamespace(now=0.0)
-    monkeypatch.setattr(playback.time, "monotonic", lambda: clock.now)
-    monkeypatch.setattr(playback.time, "sleep", lambda seconds: setattr(clock, "now", clock.now + seconds))
+    monkeypatch.setattr(threaded_source.time, "monotonic", lambda: clock.now)
+    monkeypatch.setattr(threaded_source.time, "sleep", lambda seconds: setattr(clock, "now", clock.now + seconds))
     times = [index / 10 + (jump_s if index >= 5 else 0) for index in range(10)]
     source = SimpleNamespace(
         __enter__=lambda: None,
         frames=lambda: iter([Frame(np.zeros(SHAPE, np.uint8), Encoding(0, 255), each, 0) for each in times]),
     )
-    device, shown = playback.Playback(source, speed=1.0, loop=False), []
+    device, shown = threaded_source.Playback(source, speed=1.0, loop=False), []
     for index in range(10):
         device.read(index)
         shown.append(clock.now)

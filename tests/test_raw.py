@@ -25,7 +25,7 @@ from chromaperture.camera_file import Calibration
 from chromaperture.capture import raw as raw_files
 from chromaperture.capture.exif import read_model, read_noise_profile
 from chromaperture.capture.files import decode, format_of, read_image
-from chromaperture.capture.raw_container import check_complete
+from chromaperture.capture.raw import check_complete
 from chromaperture.errors import InputError
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 from worlds import INFINITY_PX, PUPIL_MM, SCALE_PX_MM, mosaic_of, write_dng

@@ -12,10 +12,9 @@ from PIL import Image
 from chromaperture.camera_file import Calibration
 from chromaperture.capture.native_planes import Planes, rgb_of_planes
 from chromaperture.capture.picture_format import FORM, PictureFormat
-from chromaperture.capture.siting_check import find_chroma_error
 from chromaperture.color.encoding import SITINGS
 from chromaperture.errors import InputError
-from chromaperture.evaluation.chroma_siting import check_siting, siting_without_error
+from chromaperture.evaluation.chroma_siting import check_siting, find_chroma_error, siting_without_error
 from chromaperture.products.samples import sample_camera
 from test_native_planes import GREY, HEIGHT, ORANGE, WIDTH, clip, grid, planes_of, scene, sites
 

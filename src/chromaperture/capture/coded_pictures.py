@@ -15,7 +15,7 @@ from PIL import Image, JpegImagePlugin
 
 from chromaperture.capture.bayer import check_not_quad, superpixels
 from chromaperture.capture.heif import heif_format, is_heif, read_heif, stored_turn
-from chromaperture.capture.picture_format import LUMA_WEIGHTS, SENSOR_LIGHT, KnownFrom, PictureFormat, known_from_tags
+from chromaperture.capture.picture_format import LUMA_WEIGHTS, SENSOR_LIGHT, PictureFormat
 from chromaperture.capture.picture_header import (
     PNG_MARK,
     TIFF_MARKS,
@@ -27,7 +27,7 @@ from chromaperture.capture.picture_header import (
 from chromaperture.capture.tiff import decode_tiff, no_check, tiff_header
 from chromaperture.color.color_space import UNTAGGED, ColorSpace
 from chromaperture.color.color_tags import of_exif, of_icc, of_png
-from chromaperture.color.encoding import Encoding, Pattern, StatedFacts
+from chromaperture.color.encoding import Encoding, Pattern
 from chromaperture.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,50 +37,42 @@ _ORIENTATION, _EXIF_IFD, _COLOR_SPACE, _INTEROP_IFD, _INTEROP_INDEX = 0x0112, 0x
 _TURNS = {3: 180, 6: 90, 8: 270}  # codes of EXIF's orientation, degrees clockwise; others are mirrored, or upright
 _JPEG_END = b"\xff\xd9"  # a marker, which coded data do not hold
 _LEAST_TAIL = bytes(4096)  # that no encoder writes: what a broken copy leaves
+_KINDS = {"WEBP": "WebP", "PPM": "PNM", "MPO": "JPEG"}  # names for people that are not Pillow's
 _CODECS = {"JPEG": "mjpeg", "WebP": "webp"}
 
 
-def format_of_data(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
+def format_of_data(data: bytes, name: str, mosaic: Pattern | None) -> PictureFormat:
     """Return what a file is by its header; raises InputError, or what decoders raise on a damaged file."""
     if (is_heif(data) or data.startswith(b"WEBP", 8)) and data.endswith(_LEAST_TAIL):
         raise ValueError("the file ends in zeros")
     if is_heif(data):
-        return heif_format(data, name, stated)
+        return heif_format(data, name)
     if data.startswith(TIFF_MARKS):
-        return _tiff_format(data, name, stated)
+        return _tiff_format(data, name, mosaic)
     if (other := other_kind(data)) is not None:
         raise InputError(f"{name} is {other}")
     picture = open_picture(data)
     if getattr(picture, "n_frames", 1) > 1 and picture.format != "MPO":
         raise InputError(f"{name} holds {picture.n_frames} pictures; give one photograph a file")  # type: ignore[attr-defined]
     if picture.format == "AVIF":
-        return _avif_format(data, name, stated)
-    if stated.mosaic is not None and picture.mode.startswith(("L", "I", "F")):
-        return _mosaic(kind_of(picture), picture.size, 16 if _is_deep(data) else 8, stated.mosaic)
-    factors = _factors(picture, data)
-    space = _space_of(picture, data)
-    known = known_from_tags(space)
-    if factors != (1, 1):
-        known["siting"] = "default" if stated.siting is None else "option"
-    turn = _TURNS.get(_exif(picture).get(_ORIENTATION, 1), 0)
-    kind = kind_of(picture)
+        return _avif_format(data, name)
+    kind, bits = _KINDS.get(str(picture.format), str(picture.format)), 16 if _is_deep(data) else 8
+    if mosaic is not None and picture.mode.startswith(("L", "I", "F")):
+        return _mosaic(kind, picture.size, bits, mosaic)
+    factors, space = _factors(picture, data), _space_of(picture, data)
+    is_whole = factors == (1, 1)
     return PictureFormat(
-        kind, picture.size, 16 if _is_deep(data) else 8, factors, stated.siting or "centre",
-        LUMA_WEIGHTS[2] if factors != (1, 1) else None, space=space,
-        full_range=kind != "WebP" or factors == (1, 1), turn_degrees=turn, known_from=known,
+        kind, picture.size, bits, factors, luma_weights=None if is_whole else LUMA_WEIGHTS[2], space=space,
+        full_range=kind != "WebP" or is_whole, turn_degrees=_TURNS.get(_exif(picture).get(_ORIENTATION, 1), 0),
     )  # fmt: skip
-
-
-def kind_of(picture: Image.Image) -> str:
-    """Return the name of a picture's format, for people."""
-    return {"WEBP": "WebP", "PPM": "PNM", "MPO": "JPEG"}.get(str(picture.format), str(picture.format))
 
 
 def _mosaic(kind: str, size_px: tuple[int, int], bits: int, pattern: Pattern) -> PictureFormat:
     """Return the format of a grey file that is a mosaic; an odd last row or column has no whole cell."""
     size_px = size_px[0] // 2 * 2, size_px[1] // 2 * 2
-    known: dict[str, KnownFrom] = {"mosaic": "option"}
-    return PictureFormat(kind, size_px, bits, (2, 2), space=SENSOR_LIGHT, mosaic=pattern, known_from=known)
+    return PictureFormat(
+        kind, size_px, bits, (2, 2), space=SENSOR_LIGHT, mosaic=pattern, known_from={"mosaic": "option"}
+    )
 
 
 def counts_of_data(data: bytes, form: PictureFormat, name: str) -> tuple[np.ndarray, Encoding]:
@@ -182,18 +174,16 @@ def _exif(picture: Image.Image) -> Image.Exif:
     return exif
 
 
-def _tiff_format(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
+def _tiff_format(data: bytes, name: str, mosaic: Pattern | None) -> PictureFormat:
     header = tiff_header(data, name)
-    if stated.mosaic is not None and header.samples == 1:
-        return _mosaic("TIFF", header.size_px, header.bits, stated.mosaic)
+    if mosaic is not None and header.samples == 1:
+        return _mosaic("TIFF", header.size_px, header.bits, mosaic)
     space = UNTAGGED if header.profile is None else of_icc(header.profile)
-    return PictureFormat(
-        "TIFF", header.size_px, header.bits, space=space, turn_degrees=_TURNS.get(header.orientation, 0),
-        known_from=known_from_tags(space),
-    )  # fmt: skip
+    turn = _TURNS.get(header.orientation, 0)
+    return PictureFormat("TIFF", header.size_px, header.bits, space=space, turn_degrees=turn)
 
 
-def _avif_format(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
+def _avif_format(data: bytes, name: str) -> PictureFormat:
     """Return what an AVIF file is; its size is Pillow's, for FFmpeg takes a picture made of tiles for the first."""
     from chromaperture.capture.decoded_frame import format_of_frame
 
@@ -205,8 +195,7 @@ def _avif_format(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
         if (context.width, context.height) != picture.size:
             raise InputError(f"{name} is an AVIF picture made of tiles, which is not read; export it as PNG")
         space = of_icc(profile) if profile else None
-        turn = stored_turn(data, name)
-        return format_of_frame(context, "AVIF", siting="centre", stated=stated, space=space, turn_degrees=turn)
+        return format_of_frame(context, "AVIF", siting="centre", space=space, turn_degrees=stored_turn(data, name))
 
 
 @contextlib.contextmanager

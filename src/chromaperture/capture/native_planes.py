@@ -35,19 +35,10 @@ class Planes:
 
 
 def rgb_of_planes(planes: Planes, form: PictureFormat) -> np.ndarray:
-    """Return R', G', B' at the places of the chroma samples.
+    """Return R', G', B' at the places of the chroma samples; (h, w, 3) float32, from 0 to `ENCODED_WHITE`.
 
-    Parameters
-    ----------
-    planes : Planes
-    form : PictureFormat
-        With the factors of the chroma, its siting, matrix, range and bits.
-
-    Returns
-    -------
-    (h, w, 3) float32, from 0 to `ENCODED_WHITE`
-        Still encoded; a little beyond both ends where a codec has rounded. Where chroma is subsampled along one side
-        only, the other is averaged to the same factor.
+    Still encoded; a little beyond both ends where a codec has rounded. Where chroma is subsampled along one side only,
+    the other is averaged to the same factor.
     """
     width, height = form.read_size_px
     across, down = form.chroma_factors

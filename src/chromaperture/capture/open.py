@@ -15,11 +15,10 @@ from chromaperture.capture.aravis import AravisCamera, aravis_cameras
 from chromaperture.capture.folder import FolderSource
 from chromaperture.capture.gphoto import TetheredCamera, tethered_cameras
 from chromaperture.capture.picamera import PiCamera, pi_cameras
-from chromaperture.capture.playback import played
 from chromaperture.capture.recording import ReplaySource
 from chromaperture.capture.simulated import SimulatedSource
 from chromaperture.capture.source import FileSource, Listener, Source
-from chromaperture.capture.threaded_source import LiveSource
+from chromaperture.capture.threaded_source import LiveSource, played
 from chromaperture.capture.video import VideoSource
 from chromaperture.capture.webcam import Webcam, webcams
 from chromaperture.color.encoding import Encoding
@@ -71,7 +70,10 @@ def open_source(
     if kind in _DEVICES or kind == "gphoto2" or (found and kind in _FILES):
         settings = dict(parse_qsl(query, keep_blank_values=True)) | settings
         if kind in _DEVICES:
-            return _device(kind, where, settings, listener, camera_encoding)
+            device, chosen = _DEVICES[kind], _checked(kind, _DEVICES[kind], settings, camera_encoding)
+            place = where or ("" if kind == "aravis" else "0")
+            name = f"{kind}:{place}" if place else kind
+            return LiveSource(name, lambda: device(place, **chosen), listener=listener)
         if kind != "gphoto2" and not where:
             raise InputError(f"{kind} needs a folder: {kind}:FOLDER")
         return _file(kind, where, _FILES[kind], settings, listener, camera_encoding)
@@ -86,18 +88,6 @@ def open_source(
     return _file("folder", path, FolderSource, settings, listener, camera_encoding)
 
 
-def _device(
-    kind: str, where: str, settings: dict[str, Any], listener: Listener | None, camera_encoding: Encoding | None
-) -> Source:
-    device = _DEVICES[kind]
-    chosen = _checked(kind, device, settings)
-    if "camera_encoding" in inspect.signature(device).parameters:
-        chosen["camera_encoding"] = camera_encoding
-    place = where or ("" if kind == "aravis" else "0")
-    name = f"{kind}:{place}" if place else kind
-    return LiveSource(name, lambda: device(place, **chosen), listener=listener)
-
-
 def _file(
     kind: str,
     where: str,
@@ -110,21 +100,26 @@ def _file(
     playable = kind in _PLAYABLE
     speed = settings.pop("speed", None) if playable else None
     loop = _switch("loop", settings.pop("loop", False)) if playable else False
-    chosen = _checked(kind, maker, settings, *(("speed", "loop") if playable else ()))
-    if "camera_encoding" in inspect.signature(maker).parameters:
-        chosen["camera_encoding"] = camera_encoding
+    chosen = _checked(kind, maker, settings, camera_encoding, others=("speed", "loop") if playable else ())
     source = maker(where, listener=listener, **chosen)
     if speed is None and not loop:
         return source
     return played(source, speed=1.0 if speed is None else _number("speed", speed), loop=loop, listener=listener)
 
 
-def _checked(kind: str, maker: Callable[..., Any], settings: dict[str, Any], *others: str) -> dict[str, Any]:
+def _checked(
+    kind: str,
+    maker: Callable[..., Any],
+    settings: dict[str, Any],
+    camera_encoding: Encoding | None,
+    *,
+    others: tuple[str, ...] = (),
+) -> dict[str, Any]:
     """Check the names of settings and convert texts to the types of the source's parameters."""
     known = {n: p for n, p in inspect.signature(maker).parameters.items() if p.kind is p.KEYWORD_ONLY}
+    chosen: dict[str, Any] = {"camera_encoding": camera_encoding} if "camera_encoding" in known else {}
     for own in ("listener", "retry_s", "camera_encoding"):
         known.pop(own, None)
-    chosen = {}
     for name, value in settings.items():
         if name not in known:
             raise InputError(f"{kind} has no setting {name!r}: choose {', '.join([*known, *others])}")

@@ -7,22 +7,30 @@
 
 from __future__ import annotations
 
+import importlib
 import logging
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
-from types import TracebackType
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Literal, Protocol, Self, TypedDict
 
 import numpy as np
 
 from chromaperture.color.encoding import CENTRED, Encoding, develop_counts
 from chromaperture.color.image import DARK
-from chromaperture.errors import CaptureWarning, InputError
+from chromaperture.errors import CaptureWarning, InputError, MissingDependencyError
 
 _TWELVE_BITS = 4096  # a 16-bit file with no count above is likely that of a sensor of 12 bits or fewer
+
+
+class Levels(TypedDict, total=False):
+    """Levels that a reader gives, and those of the camera that the files are for; see `choose_encoding`."""
+
+    black_level: float | None
+    white_level: float | None
+    camera_encoding: Encoding | None
 
 
 def choose_encoding(
@@ -35,22 +43,9 @@ def choose_encoding(
 ) -> Encoding:
     """Choose levels: the given ones, else the camera's where the counts can hold them, else the file's own.
 
-    Parameters
-    ----------
-    own : Encoding
-        Of the counts, when no level is given.
-    counts : (H, W, 3) array
-    black_level, white_level : float, optional
-        Of the sensor; superpixels hold twice its counts. Given levels make counts linear.
-    camera_encoding : Encoding, optional
-        Of the photographs that the camera was calibrated on, `CameraSensor.encoding`. Pictures of encoded values tell
-        nothing of linear ones, nor linear ones of them.
-
-    Warns
-    -----
-    CaptureWarning
-        Encoded values cannot hold the camera's levels, or the white level is a guess that looks wrong. The text names
-        no file, so that Python shows it once.
+    Given levels are the sensor's, make counts linear, and are doubled for superpixels. Pictures of encoded values tell
+    nothing of a camera's linear ones, nor linear ones of them. Warns where encoded values cannot hold the camera's
+    levels and where the white level is a guess that looks wrong, without a file's name: Python shows each text once.
     """
     camera = None if camera_encoding is None else _camera_of(own, counts, camera_encoding, (black_level, white_level))
     given = (black_level, white_level)
@@ -111,6 +106,14 @@ def _white_of_encoded(camera: Encoding) -> float:
     return 255.0 if camera.white_level <= 255 else 65535.0
 
 
+def needed(module: str, hint: str) -> Any:
+    """Import an optional package; raises MissingDependencyError with what to do."""
+    try:
+        return importlib.import_module(module)
+    except (ImportError, OSError):  # a shared library may be missing
+        raise MissingDependencyError(hint) from None
+
+
 def checked_fps(fps: float) -> float:
     """Return a frame rate that is positive and finite; raises InputError for others."""
     if not 0 < fps < math.inf:
@@ -147,18 +150,14 @@ class Frame:
         return develop_counts(self.counts, self.encoding)
 
 
+EventKind = Literal["lost", "reconnected", "size", "dark", "skipped", "turned", "siting"]
+
+
 @dataclass(frozen=True)
 class Event:
-    """A message for the user; the stream continues.
+    """A message of one line for the user; the stream continues."""
 
-    Attributes
-    ----------
-    kind : {"lost", "reconnected", "size", "dark", "skipped", "turned", "siting"}
-    message : str
-        One line.
-    """
-
-    kind: Literal["lost", "reconnected", "size", "dark", "skipped", "turned", "siting"]
+    kind: EventKind
     message: str
 
 
@@ -175,25 +174,25 @@ class Source(Protocol):
 
     Attributes
     ----------
-    name : str
-        For people.
     live : bool
         Only the newest frame is kept for a slow reader; otherwise every frame is delivered, at the reader's pace.
     dropped : int
         Number of frames that were replaced by newer ones before they were read.
     """
 
-    name: str
     live: bool
     dropped: int
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        ...
 
     def __enter__(self) -> Self:
         """Open files or device; raises InputError with what is missing."""
         ...
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Release them."""
         ...
 
@@ -202,26 +201,39 @@ class Source(Protocol):
         ...
 
 
+@dataclass(eq=False)
 class FileSource:
-    """A source that is read at the reader's pace; subclasses implement `open`, `close` and `frames`."""
+    """A source that is read at the reader's pace; subclasses implement `open`, `close` and `frames`.
 
+    Their fields are the settings of `open_source`; `kind` stands before the place in the name.
+    """
+
+    place: str  # of files or device
+    _: KW_ONLY
+    listener: Listener | None = None
+
+    kind = ""
     live = False
     dropped = 0
 
-    def __init__(self, name: str, *, listener: Listener | None = None) -> None:
-        self.name, self.listener = name, listener or log_event
+    @property
+    def name(self) -> str:
+        """Kind and place."""
+        return ":".join(filter(None, (self.kind, self.place)))
 
     def __enter__(self) -> Self:
         self.open()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def __iter__(self) -> Iterator[Frame]:
-        yield from steady(self.frames(), self.listener)
+        yield from steady(self.frames(), self.listener or log_event)
+
+    def report(self, kind: EventKind, message: str) -> None:
+        """Tell the listener of an event."""
+        (self.listener or log_event)(Event(kind, message))
 
     def open(self) -> None:
         """Check that there is something to read."""
@@ -232,6 +244,20 @@ class FileSource:
     def frames(self) -> Iterator[Frame]:
         """Yield frames."""
         raise NotImplementedError
+
+
+@dataclass(kw_only=True, eq=False)
+class PictureSource(FileSource):
+    """A source of files whose levels may be given, as for `choose_encoding`."""
+
+    black_level: float | None = None
+    white_level: float | None = None
+    camera_encoding: Encoding | None = None
+
+    @property
+    def levels(self) -> Levels:
+        """What `choose_encoding` takes."""
+        return Levels(black_level=self.black_level, white_level=self.white_level, camera_encoding=self.camera_encoding)
 
 
 def steady(frames: Iterable[Frame], listener: Listener) -> Iterator[Frame]:

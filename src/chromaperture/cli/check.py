@@ -63,8 +63,7 @@ def check(
     from chromaperture.camera import CodedApertureCamera
     from chromaperture.camera_file import Calibration
     from chromaperture.camera_parts import Board
-    from chromaperture.capture.developed import other_colours
-    from chromaperture.capture.exif import read_exif
+    from chromaperture.capture.exif import other_colours, read_exif
     from chromaperture.cli.setup import stated_facts, with_stated
     from chromaperture.evaluation.health import Check, check_camera, outcome
 
