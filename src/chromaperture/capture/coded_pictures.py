@@ -15,7 +15,7 @@ from PIL import Image, JpegImagePlugin
 
 from chromaperture.capture.bayer import check_not_quad, superpixels
 from chromaperture.capture.heif import heif_format, is_heif, read_heif, stored_turn
-from chromaperture.capture.picture_format import LUMA_WEIGHTS, SENSOR_LIGHT, PictureFormat
+from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat, mosaic_format
 from chromaperture.capture.picture_header import (
     PNG_MARK,
     TIFF_MARKS,
@@ -24,7 +24,7 @@ from chromaperture.capture.picture_header import (
     open_picture,
     other_kind,
 )
-from chromaperture.capture.tiff import decode_tiff, no_check, tiff_header
+from chromaperture.capture.tiff import TURNS, decode_tiff, tiff_format
 from chromaperture.color.color_space import UNTAGGED, ColorSpace
 from chromaperture.color.color_tags import of_exif, of_icc, of_png
 from chromaperture.color.encoding import Encoding, Pattern
@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     import av.container
 
 _ORIENTATION, _EXIF_IFD, _COLOR_SPACE, _INTEROP_IFD, _INTEROP_INDEX = 0x0112, 0x8769, 0xA001, 0xA005, 1
-_TURNS = {3: 180, 6: 90, 8: 270}  # codes of EXIF's orientation, degrees clockwise; others are mirrored, or upright
 _JPEG_END = b"\xff\xd9"  # a marker, which coded data do not hold
 _LEAST_TAIL = bytes(4096)  # that no encoder writes: what a broken copy leaves
 _KINDS = {"WEBP": "WebP", "PPM": "PNM", "MPO": "JPEG"}  # names for people that are not Pillow's
@@ -48,7 +47,7 @@ def format_of_data(data: bytes, name: str, mosaic: Pattern | None) -> PictureFor
     if is_heif(data):
         return heif_format(data, name)
     if data.startswith(TIFF_MARKS):
-        return _tiff_format(data, name, mosaic)
+        return tiff_format(data, name, mosaic)
     if (other := other_kind(data)) is not None:
         raise InputError(f"{name} is {other}")
     picture = open_picture(data)
@@ -58,21 +57,13 @@ def format_of_data(data: bytes, name: str, mosaic: Pattern | None) -> PictureFor
         return _avif_format(data, name)
     kind, bits = _KINDS.get(str(picture.format), str(picture.format)), 16 if _is_deep(data) else 8
     if mosaic is not None and picture.mode.startswith(("L", "I", "F")):
-        return _mosaic(kind, picture.size, bits, mosaic)
+        return mosaic_format(kind, picture.size, bits, mosaic, known_from="option")
     factors, space = _factors(picture, data), _space_of(picture, data)
     is_whole = factors == (1, 1)
     return PictureFormat(
         kind, picture.size, bits, factors, luma_weights=None if is_whole else LUMA_WEIGHTS[2], space=space,
-        full_range=kind != "WebP" or is_whole, turn_degrees=_TURNS.get(_exif(picture).get(_ORIENTATION, 1), 0),
+        full_range=kind != "WebP" or is_whole, turn_degrees=TURNS.get(_exif(picture).get(_ORIENTATION, 1), 0),
     )  # fmt: skip
-
-
-def _mosaic(kind: str, size_px: tuple[int, int], bits: int, pattern: Pattern) -> PictureFormat:
-    """Return the format of a grey file that is a mosaic; an odd last row or column has no whole cell."""
-    size_px = size_px[0] // 2 * 2, size_px[1] // 2 * 2
-    return PictureFormat(
-        kind, size_px, bits, (2, 2), space=SENSOR_LIGHT, mosaic=pattern, known_from={"mosaic": "option"}
-    )
 
 
 def counts_of_data(data: bytes, form: PictureFormat, name: str) -> tuple[np.ndarray, Encoding]:
@@ -103,12 +94,13 @@ def counts_of_data(data: bytes, form: PictureFormat, name: str) -> tuple[np.ndar
     return cells, replace(own, given=False)
 
 
-def samples_of_data(data: bytes, name: str, *, check: Callable[[int, int], None] = no_check) -> np.ndarray:
+def samples_of_data(data: bytes, name: str, *, check: Callable[[int, int], None] | None = None) -> np.ndarray:
     """Return the samples of a file that does not subsample chroma, in R, G, B order; raises as `format_of_data`."""
     if data.startswith(TIFF_MARKS):
         return decode_tiff(data, name, check=check)
     picture = open_picture(data)
-    check(*picture.size)
+    if check is not None:
+        check(*picture.size)
     if data.startswith(PNG_MARK):
         check_png_sums(data)
     else:
@@ -172,15 +164,6 @@ def _exif(picture: Image.Image) -> Image.Exif:
         warnings.simplefilter("ignore")
         exif.load(picture.info.get("exif") or b"")
     return exif
-
-
-def _tiff_format(data: bytes, name: str, mosaic: Pattern | None) -> PictureFormat:
-    header = tiff_header(data, name)
-    if mosaic is not None and header.samples == 1:
-        return _mosaic("TIFF", header.size_px, header.bits, mosaic)
-    space = UNTAGGED if header.profile is None else of_icc(header.profile)
-    turn = _TURNS.get(header.orientation, 0)
-    return PictureFormat("TIFF", header.size_px, header.bits, space=space, turn_degrees=turn)
 
 
 def _avif_format(data: bytes, name: str) -> PictureFormat:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from PIL import Image
 
 from chromaperture.capture.heif import is_heif
 from chromaperture.capture.picture_header import TIFF_MARKS, open_picture
+from chromaperture.capture.tiff import from_pages
 from chromaperture.shots import is_raw
 from chromaperture.validation import MOST_FILE_BYTES, read_bytes
 
@@ -92,15 +93,18 @@ def read_tag(path: str | Path, code: int) -> Any:
     try:
         with open(path, "rb") as file:
             begin = file.read(4)
-        if begin in TIFF_MARKS:
-            with tifffile.TiffFile(path) as picture:
-                first = picture.pages.first
-                # A DNG's mosaic may lie behind a small picture, with tags of its own.
-                found = (page.tags.get(code) for page in (first, *(first.pages or ())))
-                return next((tag.value for tag in found if tag is not None), None)
-        return _header(path).get(code) if begin.startswith(_JPEG_MARK) else None
+        if begin not in TIFF_MARKS:
+            return _header(path).get(code) if begin.startswith(_JPEG_MARK) else None
     except Exception:  # decoders raise anything; errors of the picture itself are reported by `read_image`
         return None
+
+    def find(pages: Iterator[tifffile.TiffPage]) -> Any:
+        # A DNG's mosaic may lie behind a small picture, with tags of its own.
+        first = next(pages)
+        found = (page.tags.get(code) for page in (first, *(first.pages or ())))
+        return next((tag.value for tag in found if tag is not None), None)
+
+    return from_pages(path, find, default=None)
 
 
 def is_developed(path: str | Path) -> bool | None:

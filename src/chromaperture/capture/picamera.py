@@ -41,37 +41,21 @@ def load_picamera2() -> Any:
 
 
 class PiCamera:
-    """An opened camera, running; one frame at a time by `read`.
-
-    Parameters
-    ----------
-    number : str
-        Of the camera, as ``rpicam-hello --list-cameras`` counts; empty for 0.
-    width, height : int, optional
-        A mode of the sensor; default the fastest that sees the whole field with the most bits.
-    exposure_us, gain : float, optional
-        Without them the automatic exposure runs until it has settled, and what it found is kept.
-    lens_position : float, optional
-        Of a lens that focuses by a motor, in 1/m; without it, such a lens stays where it is. A calibration is for one.
-    pattern : str, optional
-        Order of the colours, such as BGGR, instead of what the driver says.
-    red_card : int
-        1: the first frame shows a red card; opening fails unless the order of the colours makes it red.
-    """
+    """An opened camera, running; one frame at a time by `read`."""
 
     def __init__(
         self,
-        number: str = "0",
+        number: str = "0",  # as ``rpicam-hello --list-cameras`` counts
         *,
-        width: int | None = None,
+        width: int | None = None,  # of a mode of the sensor; default the fastest that sees the whole field, most bits
         height: int | None = None,
-        exposure_us: float | None = None,
+        exposure_us: float | None = None,  # without it automatic exposure runs until it has settled, and is kept
         gain: float | None = None,
         fps: float | None = None,
-        lens_position: float | None = None,
-        pattern: str | None = None,
-        red_card: int = 0,
-        black_level: float | None = None,
+        lens_position: float | None = None,  # of a lens with a motor, 1/m; a calibration is for one, where it stays
+        pattern: str | None = None,  # order of the colours, such as BGGR, instead of what the driver says
+        red_card: int = 0,  # 1: the first frame shows a red card; opening fails unless the order makes it red
+        black_level: float | None = None,  # counts of the mosaic; default what the driver says, and the highest count
         white_level: float | None = None,
     ) -> None:
         if pattern is not None and pattern.upper() not in PATTERNS:

@@ -17,7 +17,7 @@ _FACTORS = {(1, 1): "4:4:4", (2, 1): "4:2:2", (2, 2): "4:2:0", (4, 1): "4:1:1", 
 LUMA_WEIGHTS = {1: (0.2126, 0.0722), 2: (0.299, 0.114), 4: (0.30, 0.11), 5: (0.299, 0.114), 6: (0.299, 0.114),
                 7: (0.212, 0.087), 9: (0.2627, 0.0593)}  # fmt: skip
 LUMA_WEIGHTS[0] = LUMA_WEIGHTS[2]  # what encoders write that do not know it
-SENSOR_LIGHT = ColorSpace("", None, Transfer("linear"))  # of RAW files: light in the sensor's own colours
+_SENSOR_LIGHT = ColorSpace("", None, Transfer("linear"))  # of RAW files: light in the sensor's own colours
 FORM = "photograph_format"  # in results, metadata of frames, and the provenance of camera files
 
 
@@ -112,6 +112,17 @@ class PictureFormat:
             "known_from": dict(self.known_from),
         }
         return {name: value for name, value in facts.items() if value is not None}
+
+
+def mosaic_format(
+    kind: str, size_px: tuple[int, int], bits: int, mosaic: str, *, known_from: KnownFrom, turn_degrees: int = 0
+) -> PictureFormat:
+    """Return the format of a file that is a mosaic; an odd last row or column has no whole cell."""
+    size_px = size_px[0] // 2 * 2, size_px[1] // 2 * 2
+    return PictureFormat(
+        kind, size_px, bits, (2, 2), space=_SENSOR_LIGHT, mosaic=mosaic, turn_degrees=turn_degrees,
+        known_from={"mosaic": known_from},
+    )  # fmt: skip
 
 
 def reduced_sides(size_px: tuple[int, int], factor: int) -> tuple[int, int]:

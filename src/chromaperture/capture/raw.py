@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -17,9 +16,10 @@ import numpy as np
 import tifffile
 
 from chromaperture.capture.bayer import check_not_quad, quad_message, superpixels
-from chromaperture.capture.picture_format import SENSOR_LIGHT, PictureFormat
+from chromaperture.capture.picture_format import PictureFormat, mosaic_format
 from chromaperture.capture.picture_header import TIFF_MARKS, check_size
 from chromaperture.capture.source import needed
+from chromaperture.capture.tiff import from_pages
 from chromaperture.color.encoding import PATTERNS, Encoding
 from chromaperture.errors import InputError
 from chromaperture.validation import quoted
@@ -27,7 +27,6 @@ from chromaperture.validation import quoted
 _TURNS = {3: 180, 5: 270, 6: 90}  # LibRaw's codes of an orientation, degrees clockwise
 _BOX_TYPE = b"ftyp"  # of the first box of an ISO base media file (ISO 14496-12), which CR3 is
 _MARKS = (b"FUJIFILMCCD-RAW", b"IIU\0", b"IIRO", b"IIRS", b"MMOR", b"FOVb")  # RAF, RW2, three of ORF, X3F
-_MOST_PICTURES = 32  # of a file, previews among them: a hostile chain has millions
 # Tags and photometric interpretations of TIFF/EP and of the DNG specification 1.7.
 _COMPRESSION, _PHOTOMETRIC, _CFA_PATTERN, _DNG_VERSION, _ACTIVE_AREA = 259, 262, 33422, 50706, 50829
 _BLACK_REPEAT, _BLACK_LEVEL = 50713, 50714
@@ -45,12 +44,9 @@ _UNREADABLE = {  # by compression, by photometric interpretation
 def raw_format(path: Path) -> PictureFormat:
     """Return what a RAW file is; raises like `read_raw`."""
     with _opened(path) as raw:
-        sizes, bits = raw.sizes, int(raw.white_level).bit_length()
-        # An odd last row or column has no whole cell.
-        return PictureFormat(
-            "RAW", (sizes.width // 2 * 2, sizes.height // 2 * 2), bits, (2, 2), space=SENSOR_LIGHT, mosaic="Bayer",
-            turn_degrees=_TURNS.get(sizes.flip, 0), known_from={"mosaic": "tag"},
-        )  # fmt: skip
+        size, bits = (raw.sizes.width, raw.sizes.height), int(raw.white_level).bit_length()
+        turn = _TURNS.get(raw.sizes.flip, 0)
+        return mosaic_format("RAW", size, bits, "Bayer", known_from="tag", turn_degrees=turn)
 
 
 def read_raw(path: Path, *, size_px: tuple[int, int] | None = None) -> tuple[np.ndarray, Encoding]:
@@ -123,15 +119,15 @@ def holds_raw(path: Path) -> bool:
     try:
         with open(path, "rb") as file:
             start = file.read(16)
-        if start[:4] not in TIFF_MARKS:
-            return start.startswith(_MARKS) or start[4:12] == _BOX_TYPE + b"crx "
-        with tifffile.TiffFile(path) as tiff:
-            return start[8:10] == b"CR" or any(
-                page.photometric == _MOSAIC or _CFA_PATTERN in page.tags or _DNG_VERSION in page.tags
-                for page in _pages(tiff.pages)
-            )
-    except Exception:  # tifffile raises anything on a damaged file, which whoever reads it says
+    except OSError:
         return False
+    if start[:4] not in TIFF_MARKS:
+        return start.startswith(_MARKS) or start[4:12] == _BOX_TYPE + b"crx "
+    return from_pages(path, lambda pages: start[8:10] == b"CR" or any(map(_is_raw_page, pages)), default=False)
+
+
+def _is_raw_page(page: tifffile.TiffPage) -> bool:
+    return page.photometric == _MOSAIC or _CFA_PATTERN in page.tags or _DNG_VERSION in page.tags
 
 
 def check_kind(path: Path) -> None:
@@ -171,17 +167,15 @@ def black_of_cells(path: Path, top: int, left: int) -> np.ndarray | None:
 
 def _dng_tags(path: Path) -> dict[int, Any]:
     """Return tags of the picture in a DNG file, of rationals the quotients; empty where it is none, or damaged."""
-    try:
-        with tifffile.TiffFile(path) as file:
-            pages = list(_pages(file.pages))
-            page = max(pages, key=lambda p: (p.photometric in (_MOSAIC, _DEMOSAICED), p.imagewidth * p.imagelength))
-            codes = (_COMPRESSION, _PHOTOMETRIC, _ACTIVE_AREA, _BLACK_REPEAT, _BLACK_LEVEL)
-            tags = [page.tags[code] for code in codes if code in page.tags and _DNG_VERSION in pages[0].tags]
-            return {
-                tag.code: np.divide(tag.value[::2], tag.value[1::2]) if tag.dtype == 5 else tag.value for tag in tags
-            }
-    except Exception:  # tifffile raises anything; LibRaw says what is wrong with the file
-        return {}
+
+    def find(found: Iterator[tifffile.TiffPage]) -> dict[int, Any]:
+        pages = list(found)
+        page = max(pages, key=lambda p: (p.photometric in (_MOSAIC, _DEMOSAICED), p.imagewidth * p.imagelength))
+        codes = (_COMPRESSION, _PHOTOMETRIC, _ACTIVE_AREA, _BLACK_REPEAT, _BLACK_LEVEL)
+        tags = [page.tags[code] for code in codes if code in page.tags and _DNG_VERSION in pages[0].tags]
+        return {tag.code: np.divide(tag.value[::2], tag.value[1::2]) if tag.dtype == 5 else tag.value for tag in tags}
+
+    return from_pages(path, find, default={})
 
 
 def check_complete(path: Path) -> None:
@@ -203,28 +197,13 @@ def check_complete(path: Path) -> None:
 
 def _end_of_mosaic(path: Path) -> int:
     """Return where the data of the largest picture of a TIFF file end, bytes; 0 where none is described."""
-    try:
-        with tifffile.TiffFile(path) as file:
-            sizes_and_ends = [
-                (sum(page.databytecounts), max(map(sum, zip(page.dataoffsets, page.databytecounts, strict=True))))
-                for page in _pages(file.pages)
-                if page.databytecounts
-            ]
-    except Exception:  # tifffile raises anything; LibRaw says what is wrong with the file
-        return 0
-    return max(sizes_and_ends, default=(0, 0))[1]
 
+    def find(pages: Iterator[tifffile.TiffPage]) -> int:
+        pieces = [(page.dataoffsets, page.databytecounts) for page in pages if page.databytecounts]
+        largest = ((sum(counts), max(map(sum, zip(offsets, counts, strict=True)))) for offsets, counts in pieces)
+        return max(largest, default=(0, 0))[1]
 
-def _pages(pages: Iterable[Any]) -> Iterator[Any]:
-    """Walk the first pictures of a TIFF file, and those within them: the mosaic is often beside a small preview."""
-    return islice(_every_page(pages), _MOST_PICTURES)
-
-
-def _every_page(pages: Iterable[Any]) -> Iterator[Any]:
-    for page in pages:
-        if isinstance(page, tifffile.TiffPage):
-            yield page
-            yield from _every_page(page.pages or ())
+    return from_pages(path, find, default=0)
 
 
 def _end_of_boxes(file: BinaryIO, size: int) -> int:

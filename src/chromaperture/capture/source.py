@@ -186,19 +186,15 @@ class Source(Protocol):
     @property
     def name(self) -> str:
         """For people."""
-        ...
 
     def __enter__(self) -> Self:
         """Open files or device; raises InputError with what is missing."""
-        ...
 
     def __exit__(self, *error: object) -> None:
         """Release them."""
-        ...
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield frames of one size until the source ends or is closed."""
-        ...
 
 
 @dataclass(eq=False)

@@ -31,11 +31,9 @@ class Device(Protocol):
 
     def read(self, index: int) -> Frame | None:
         """Wait up to about a second for a frame; None when none came; raises DeviceLostError or StreamEndedError."""
-        ...
 
     def close(self) -> None:
         """Release the camera; never raises."""
-        ...
 
 
 class LiveSource:
