@@ -467,7 +467,7 @@ def test_photographs_of_a_tethered_camera(tmp_path):
         [sys.executable, "-c", TETHERED], capture_output=True, text=True, env=environment, timeout=60, check=False
     )
     assert made.returncode == 0, made.stderr
-    assert made.stdout.splitlines() == ["0 24 32 3", "1 24 32 3"]
+    assert made.stdout.splitlines() == ["0 12 16 3", "1 12 16 3"]  # of 4:2:0
 
 
 def test_the_cameras_levels_serve_where_a_file_can_hold_them(tmp_path):
