@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
@@ -80,3 +81,8 @@ def is_photograph(path: Path) -> bool:
 def is_raw(path: Path) -> bool:
     """Recognise a camera's RAW file by its name."""
     return path.suffix.lower() in _RAW
+
+
+def natural(path: Path) -> list[tuple[int, int | str]]:
+    """Sort key by which frame2 comes before frame10."""
+    return [(0, int(part)) if part.isdecimal() else (1, part) for part in re.split(r"(\d+)", str(path))]

@@ -67,10 +67,7 @@ def format_of_data(data: bytes, name: str, mosaic: Pattern | None) -> PictureFor
 
 
 def counts_of_data(data: bytes, form: PictureFormat, name: str) -> tuple[np.ndarray, Encoding]:
-    """Return a file's counts, (H, W, S), and how they become light; raises as `format_of_data`.
-
-    The picture has the size `PictureFormat.read_size_px`.
-    """
+    """Return a file's counts at `PictureFormat.read_size_px`, (H, W, S), and how they become light; raises as above."""
     if form.kind == "HEIC":
         counts, white = read_heif(data, form, name)
         return counts, form.encoding(white)

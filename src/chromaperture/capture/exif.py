@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -41,30 +41,25 @@ class Exif:
     focal_length_mm: float | None = None
     f_number: float | None = None
     subject_distance_mm: float | None = None
+    # s, times ISO 100, over the square of the f-number: only ratios of photographs of one camera mean anything.
+    exposure: float | None = field(default=None, compare=False)
 
 
 def read_exif(path: str | Path) -> Exif:
     """Read the settings of a photograph; an empty `Exif` for a file without them."""
-    tags = _exif_tags(path)
-    distance_m = _positive(tags.get(_SUBJECT_DISTANCE))
+    try:
+        tags = _header(path).get_ifd(_EXIF_IFD)
+    except Exception:  # decoders raise anything; errors of the picture itself are reported by `read_image`
+        return Exif()
+    distance_m, seconds = (_positive(tags.get(code)) for code in (_SUBJECT_DISTANCE, _EXPOSURE_S))
+    sensitivity, f_number = tags.get(_SENSITIVITY), _positive(tags.get(_FNUMBER))
+    gain = _positive(sensitivity[0] if isinstance(sensitivity, tuple) and sensitivity else sensitivity)
     return Exif(
         focal_length_mm=_positive(tags.get(_FOCAL_LENGTH)),
-        f_number=_positive(tags.get(_FNUMBER)),
+        f_number=f_number,
         subject_distance_mm=None if distance_m is None else 1000 * distance_m,
+        exposure=None if seconds is None else seconds * (gain or 100.0) / 100 / (f_number or 1.0) ** 2,
     )
-
-
-def read_exposure(path: str | Path) -> float | None:
-    """Return the exposure that a photograph states: s, times ISO 100, over the square of the f-number; None if absent.
-
-    Only ratios of two photographs of one camera mean anything.
-    """
-    tags = _exif_tags(path)
-    seconds, sensitivity = _positive(tags.get(_EXPOSURE_S)), tags.get(_SENSITIVITY)
-    gain = _positive(sensitivity[0] if isinstance(sensitivity, tuple) and sensitivity else sensitivity)
-    if seconds is None:
-        return None
-    return seconds * (gain or 100.0) / 100 / (_positive(tags.get(_FNUMBER)) or 1.0) ** 2
 
 
 def read_model(path: str | Path) -> str | None:
@@ -139,14 +134,6 @@ def other_colours(path: str | Path, provenance: Mapping[str, Any]) -> str | None
         f"files like this one {this}, but those of the camera file {others}: distances will be wrong by some 20 %; "
         "give files as the calibration had, or calibrate with files like this one"
     )
-
-
-def _exif_tags(path: str | Path) -> Mapping[int, Any]:
-    """Return the tags of a photograph's settings; none where they cannot be read."""
-    try:
-        return _header(path).get_ifd(_EXIF_IFD)
-    except Exception:  # decoders raise anything; errors of the picture itself are reported by `read_image`
-        return {}
 
 
 def _header(path: str | Path) -> Image.Exif:

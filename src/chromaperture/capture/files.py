@@ -21,16 +21,16 @@ from chromaperture.capture.coded_pictures import counts_of_data, format_of_data,
 from chromaperture.capture.picture_format import PictureFormat
 from chromaperture.capture.picture_header import check_size, same_frame
 from chromaperture.capture.raw import holds_raw, raw_format, read_raw
-from chromaperture.capture.source import Levels, choose_encoding
 from chromaperture.color.encoding import (
     CENTRED,
     NOTHING_STATED,
     Encoding,
+    Levels,
     Pattern,
     Siting,
     StatedFacts,
+    choose_encoding,
     develop_counts,
-    format_encoding,
 )
 from chromaperture.errors import CaptureWarning, InputError
 from chromaperture.shots import is_raw
@@ -132,7 +132,7 @@ def read_image(
 
 def linearise(decoded: Decoded, **levels: Unpack[Levels]) -> np.ndarray:
     """Convert the content of a file to linear light; see `read_image` and, for the levels, `choose_encoding`."""
-    encoding = encoding_of(decoded, **levels)
+    encoding = choose_encoding(decoded.own, decoded.array, **levels)
     image = develop_counts(decoded.array, encoding)
     if decoded.form is not None and encoding.to_srgb is not None:
         check_primaries(image, decoded.form.space.name, decoded.name)
@@ -146,12 +146,7 @@ def read_counts(
     if (camera := levels.get("camera_encoding")) is not None:
         stated = stated.or_else(camera.stated)
     decoded = decode(path, stated=stated)
-    return decoded.array, encoding_of(decoded, **levels), decoded.form
-
-
-def encoding_of(decoded: Decoded, **levels: Unpack[Levels]) -> Encoding:
-    """Choose how to convert the content of a file to linear light; see `choose_encoding`."""
-    return choose_encoding(decoded.own or format_encoding(decoded.array.dtype), decoded.array, **levels)
+    return decoded.array, choose_encoding(decoded.own, decoded.array, **levels), decoded.form
 
 
 def opens_as_raw(path: Path) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import glob
 import os
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +15,7 @@ from chromaperture.capture.recording import HEADER
 from chromaperture.capture.source import Frame, PictureSource, checked_fps
 from chromaperture.color.encoding import Pattern, Siting, StatedFacts
 from chromaperture.errors import InputError, MissingDependencyError
-from chromaperture.shots import counted, photographs
+from chromaperture.shots import counted, natural, photographs
 
 
 @dataclass(kw_only=True, eq=False)
@@ -69,8 +68,3 @@ def _matching(pattern: str) -> list[Path]:
         return [Path(found) for found in glob.glob(pattern, recursive=True)]
     except ValueError:  # a zero byte
         return []
-
-
-def natural(path: Path) -> list[tuple[int, int | str]]:
-    """Sort key by which frame2 comes before frame10."""
-    return [(0, int(part)) if part.isdecimal() else (1, part) for part in re.split(r"(\d+)", str(path))]

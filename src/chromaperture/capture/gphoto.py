@@ -15,10 +15,7 @@ from chromaperture.capture.source import Frame, PictureSource, needed
 from chromaperture.capture.threaded_source import not_there
 from chromaperture.errors import InputError
 
-
-def load_gphoto2() -> Any:
-    """Import gphoto2; raises MissingDependencyError."""
-    return needed("gphoto2", "tethered cameras need gphoto2: pip install 'chromaperture[cameras]'")
+_HINT = "tethered cameras need gphoto2: pip install 'chromaperture[cameras]'"
 
 
 @dataclass(kw_only=True, eq=False)
@@ -42,7 +39,7 @@ class TetheredCamera(PictureSource):
 
     def open(self) -> None:
         """Connect to the camera and apply the settings."""
-        gphoto2 = load_gphoto2()
+        gphoto2 = needed("gphoto2", _HINT)
         camera = gphoto2.Camera()
         try:
             if self.place:
@@ -69,7 +66,7 @@ class TetheredCamera(PictureSource):
 
     def frames(self) -> Iterator[Frame]:
         """Take photographs; wait for a lost camera to return."""
-        gphoto2 = load_gphoto2()
+        gphoto2 = needed("gphoto2", _HINT)
         index = 0
         with tempfile.TemporaryDirectory(prefix="chromaperture-") as folder:
             while self.count is None or index < self.count:
@@ -101,5 +98,5 @@ class TetheredCamera(PictureSource):
 
 def tethered_cameras() -> list[str]:
     """List the ports of the cameras found by gphoto2."""
-    found = load_gphoto2().Camera.autodetect()
+    found = needed("gphoto2", _HINT).Camera.autodetect()
     return [str(found.get_value(i)) for i in range(found.count())]

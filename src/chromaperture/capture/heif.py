@@ -38,10 +38,7 @@ def stored_turn(data: bytes, name: str) -> int:
 
 
 def read_heif(data: bytes, form: PictureFormat, name: str) -> tuple[np.ndarray, float]:
-    """Return counts of a file's primary picture as stored, its turn taken back, and the highest count.
-
-    Raises InputError where it is damaged.
-    """
+    """Return counts of a file's primary picture as stored, its turn taken back, and the highest; raises InputError."""
     try:
         rgb = np.asarray(_opened(data, name))[..., :3]
     except InputError:
@@ -84,10 +81,7 @@ def _opened(data: bytes, name: str) -> Any:
 
 
 def heif_format(data: bytes, name: str) -> PictureFormat:
-    """Return what a file is by its header.
-
-    Raises InputError where it is damaged, grey, mirrored or in colours that are not read; MissingDependencyError.
-    """
+    """Return what a file is by its header; raises InputError, also of what is grey or mirrored."""
     picture = _opened(data, name)
     info, (width, height) = picture.info, picture.size
     if not picture.mode.startswith("RGB"):

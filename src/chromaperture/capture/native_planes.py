@@ -1,14 +1,8 @@
 """Luma and chroma as a file stores them to R, G and B, without making up chroma between its samples.
 
-A decoder that brings subsampled chroma up to the size of luma takes detail from R and B that luma keeps, and where it
-assumes another siting it moves them: both change the displacement between the channels, which is what is measured, by
-the colour of the object. Here luma is brought down to the places of the chroma samples instead, by the low pass whose
-centre they are; chroma stays untouched, and the picture has one pixel a chroma sample.
-
-References
-----------
-ITU-T H.273 (2024): matrices, ranges and sample locations of chroma (8.7).
-ITU-T T.871 (JFIF): chroma centred among luma, full range, BT.601.
+A decoder that brings chroma up to the size of luma moves detail between the channels, by the colour of the object, and
+their displacement is what is measured. Here luma is brought down to the places of the chroma samples, by the low pass
+whose centre they are; chroma stays untouched (ITU-T H.273, 8.7; ITU-T T.871, of JPEG: centred, full range, BT.601).
 """
 
 from __future__ import annotations

@@ -157,9 +157,8 @@ def connected_sources() -> list[Connected]:
     kinds = []
     for kind, cameras in ways.items():
         try:
-            specs = [f"{kind}:{place}" for place in cameras()]
+            specs, note = [f"{kind}:{place}" for place in cameras()], "none connected"
         except MissingDependencyError as missing:
-            kinds.append(Connected(kind, [], str(missing)))
-        else:
-            kinds.append(Connected(kind, specs, "" if specs else "none connected"))
+            specs, note = [], str(missing)
+        kinds.append(Connected(kind, specs, "" if specs else note))
     return kinds

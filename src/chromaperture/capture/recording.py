@@ -24,10 +24,10 @@ import numpy as np
 import tifffile
 from pydantic import Field
 
-from chromaperture.capture.source import Frame, PictureSource, choose_encoding
+from chromaperture.capture.source import Frame, PictureSource
 from chromaperture.capture.tiff import decode_tiff
 from chromaperture.color.color_space import TRANSFERS
-from chromaperture.color.encoding import Encoding, format_encoding
+from chromaperture.color.encoding import Encoding, choose_encoding, format_encoding
 from chromaperture.errors import InputError
 from chromaperture.validation import Finite, Table, checked, quoted, read_bytes
 
@@ -66,24 +66,14 @@ class Entry(Table):
 
 
 class Recorder:
-    """Write frames; a context manager.
+    """Write frames into a folder that holds no recording, and is made when absent; a context manager.
 
-    Parameters
-    ----------
-    folder : str or Path
-        Created when absent; must not hold a recording.
-    source : str
-        Name of the source, for the record.
-
-    Raises
-    ------
-    InputError
-        From entering: the folder holds a recording or cannot be written. From `write`: the disk is full.
+    Entering raises InputError where the folder cannot be used, `write` where the disk is full.
     """
 
     def __init__(self, folder: str | Path, *, source: str = "") -> None:
         self.folder, self.count = Path(folder), 0
-        self._source, self._index, self._is_new = source, -1, False
+        self._source, self._is_new, self._end = source, False, 0  # of the index, bytes
 
     def __enter__(self) -> Self:
         if (self.folder / HEADER).exists() or (self.folder / _INDEX).exists():
@@ -93,7 +83,7 @@ class Recorder:
             (self.folder / "frames").mkdir(parents=True, exist_ok=True)
             header = json.dumps({"format": _FORMAT, "source": self._source}) + "\n"
             _write_durably(self.folder / HEADER, header.encode())
-            self._index = os.open(self.folder / _INDEX, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+            _write_durably(self.folder / _INDEX, b"")
             _sync_folder(self.folder)
         except BaseException as error:
             self.__exit__(type(error))
@@ -103,9 +93,6 @@ class Recorder:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if self._index >= 0:
-            os.close(self._index)
-        self._index = -1
         if kind is not None and not self.count:  # nothing was recorded: the same folder can be given again
             with contextlib.suppress(OSError):
                 for path in (self.folder / _INDEX, self.folder / HEADER, *(self.folder / "frames").iterdir()):
@@ -127,17 +114,16 @@ class Recorder:
             "metadata": dict(frame.metadata),
         }
         line = _line_of(entry)
-        end = os.fstat(self._index).st_size
         try:
             _write_durably(path, _tiff(frame.counts))
             _sync_folder(path.parent)
-            _write_all(self._index, line)
-            os.fsync(self._index)
+            _write_durably(self.folder / _INDEX, line, os.O_APPEND)
         except OSError as error:
-            os.ftruncate(self._index, end)
+            with contextlib.suppress(OSError):
+                os.truncate(self.folder / _INDEX, self._end)
             path.unlink(missing_ok=True)
             raise self._failure(error) from None
-        self.count += 1
+        self.count, self._end = self.count + 1, self._end + len(line)
 
     def _failure(self, error: OSError) -> InputError:
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
@@ -250,19 +236,15 @@ def _tiff(counts: np.ndarray) -> bytes:
     return memory.getvalue()
 
 
-def _write_durably(path: Path, data: bytes) -> None:
-    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+def _write_durably(path: Path, data: bytes, how: int = os.O_TRUNC) -> None:
+    file = os.open(path, os.O_WRONLY | os.O_CREAT | how, 0o644)
     try:
-        _write_all(file, data)
+        view = memoryview(data)
+        while view:  # a nearly full disk writes a part
+            view = view[os.write(file, view) :]
         os.fsync(file)
     finally:
         os.close(file)
-
-
-def _write_all(file: int, data: bytes) -> None:
-    view = memoryview(data)
-    while view:  # a nearly full disk writes a part
-        view = view[os.write(file, view) :]
 
 
 def _sync_folder(folder: Path) -> None:

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from chromaperture.capture.folder import natural
 from chromaperture.capture.source import FileSource, Frame, checked_fps
 from chromaperture.color.encoding import Encoding
 from chromaperture.errors import InputError
@@ -20,7 +18,7 @@ from chromaperture.optics.layer_renderer import render_layers
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.render import render
-from chromaperture.optics.rgbd import read_rgbd
+from chromaperture.optics.rgbd import read_rgbd, rgbd_pairs
 from chromaperture.optics.scene import load_scene
 from chromaperture.optics.sensor import SensorModel, expose
 
@@ -110,20 +108,3 @@ class SimulatedSource(FileSource):
     def _aperture(self) -> Aperture:
         design = load_aperture(self.design)
         return design if self.design.lower().endswith((".toml", ".svg")) else made_of(design, self.film)
-
-
-def rgbd_pairs(folder: Path) -> list[tuple[Path, Path]]:
-    """Find colour pictures and their depth: NAME.color.* with NAME.depth.png, or rgb/ and depth/ in equal order."""
-    if not os.path.isdir(folder):
-        raise InputError(f"no RGB-D sequence or scene file at {folder}")
-    if (folder / "rgb").is_dir() and (folder / "depth").is_dir():
-        colors, depths = (sorted((folder / part).iterdir(), key=natural) for part in ("rgb", "depth"))
-        if len(colors) != len(depths):
-            raise InputError(f"{folder} holds {len(colors)} pictures in rgb/ and {len(depths)} in depth/")
-        pairs = list(zip(colors, depths, strict=True))
-    else:
-        found = ((p, folder / f"{p.name.split('.color.')[0]}.depth.png") for p in folder.glob("*.color.*"))
-        pairs = sorted(((c, d) for c, d in found if d.is_file()), key=lambda pair: natural(pair[0]))
-    if not pairs:
-        raise InputError(f"{folder} holds no NAME.color.* with NAME.depth.png, nor rgb/ and depth/")
-    return pairs

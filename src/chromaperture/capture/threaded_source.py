@@ -183,21 +183,17 @@ class Playback:
 
     def _next(self) -> Frame:
         for _ in range(2):
-            frame = next(self._frames, None)
-            if frame is not None:
-                self._keep(frame)
+            if (frame := next(self._frames, None)) is not None:
+                if self._keeping:
+                    self._kept.append(frame)
+                    if len(self._kept) * frame.counts.nbytes > _KEPT_BYTES:
+                        self._kept, self._keeping = [], False
                 return frame
             if not self._loop:
                 break
             self._frames, self._keeping, self._is_first = iter(self._kept or self._source.frames()), False, True
             self._rest_s = self._interval_s
         raise StreamEndedError
-
-    def _keep(self, frame: Frame) -> None:
-        if self._keeping:
-            self._kept.append(frame)
-            if len(self._kept) * frame.counts.nbytes > _KEPT_BYTES:
-                self._kept, self._keeping = [], False
 
     def close(self) -> None:
         """Close the files."""

@@ -14,8 +14,8 @@ import av.logging
 from chromaperture.capture.checks import check_primaries
 from chromaperture.capture.decoded_frame import counts_of_frame, format_of_frame
 from chromaperture.capture.picture_format import PictureFormat, described
-from chromaperture.capture.source import Frame, PictureSource, checked_fps, choose_encoding
-from chromaperture.color.encoding import Siting, StatedFacts
+from chromaperture.capture.source import Frame, PictureSource, checked_fps
+from chromaperture.color.encoding import Siting, StatedFacts, choose_encoding
 from chromaperture.errors import InputError
 
 _WHITELISTS = {

@@ -11,9 +11,9 @@ import numpy as np
 from chromaperture.capture.decoded_frame import DamagedError, counts_of_frame, decode_packet, format_of_frame
 from chromaperture.capture.native_planes import ENCODED_WHITE, Planes, rgb_of_planes
 from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat, described
-from chromaperture.capture.source import Frame, choose_encoding
+from chromaperture.capture.source import Frame
 from chromaperture.capture.threaded_source import DeviceLostError, not_there
-from chromaperture.color.encoding import Encoding, Siting, StatedFacts
+from chromaperture.color.encoding import Encoding, Siting, StatedFacts, choose_encoding
 from chromaperture.errors import InputError
 
 _BYTES = {"YUYV": (0, 1), "YUY2": (0, 1), "UYVY": (1, 0)}  # of luma and chroma in a pixel
