@@ -15,7 +15,7 @@ from PIL import Image, ImageCms
 import chromaperture as cap
 from chromaperture.calibration.session import read_session
 from chromaperture.calibration.white_sheets import measure_white_sheets
-from chromaperture.capture.developed import is_developed, other_colours
+from chromaperture.capture.exif import is_developed, other_colours
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image

@@ -15,12 +15,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from chromaperture.app.live.notices import RareNotices
+from chromaperture.app.live.old_submaps import forget_old
 
-from chromaperture.app.live.loop import LiveLoop, RareNotices, forget_old
+from chromaperture.app.live.loop import LiveLoop
 from chromaperture.app.live.slots import Slot
 from chromaperture.app.live.watchdog import Watchdog
 from chromaperture.camera.camera import load_camera
-from chromaperture.capture import playback
+from chromaperture.capture import threaded_source
 from chromaperture.capture.recording import Recorder, ReplaySource
 from chromaperture.capture.source import Event, FileSource, Frame
 from chromaperture.capture.threaded_source import LiveSource, StreamEndedError
@@ -161,10 +163,10 @@ def test_a_watchdog_without_end_says_nothing_and_one_without_patience_is_refused
             Watchdog(seconds)
 
 
-@pytest.mark.extra("serve", "starlette")
+@pytest.mark.extra("viewer", "viser")
 def test_the_page_names_the_stage_that_hangs_although_no_frame_comes(tmp_path):
     from chromaperture.app.live.page import LivePage
-    from test_live_page import post
+    from test_live_page import browser, look
 
     source = Camera()
     with watched(source) as (loop, _):
@@ -172,18 +174,20 @@ def test_the_page_names_the_stage_that_hangs_although_no_frame_comes(tmp_path):
         drawing = threading.Thread(target=page.run, daemon=True)
         drawing.start()
         try:
-            until(lambda: page.view.last is not None)
-            source.gate.clear()
-            until(lambda: any("source has not finished for" in line for line in post(page, "focus")[1]["hanging"]))
-            source.gate.set()
-            until(lambda: post(page, "focus")[1]["hanging"] == [])
+            with browser(page) as own:
+                look(page, own)
+                until(lambda: page.last is not None)
+                source.gate.clear()
+                until(lambda: "source has not finished for" in page.state.content)
+                source.gate.set()
+                until(lambda: "has not finished" not in page.state.content)
         finally:
             loop.stop()
             drawing.join(WAIT_S)
             page.close()
 
 
-@pytest.mark.extra("serve", "starlette")
+@pytest.mark.extra("viewer", "viser")
 @pytest.mark.parametrize("held_up", ["paused", "source"])
 def test_a_page_without_frames_ends_at_its_time(tmp_path, held_up):
     from chromaperture.app.live.page import LivePage
@@ -193,7 +197,7 @@ def test_a_page_without_frames_ends_at_its_time(tmp_path, held_up):
         page = LivePage(loop, host="127.0.0.1", port=0, out=tmp_path)
         drawing = None
         try:
-            page.run(until=lambda: page.view.last is not None)
+            page.run(until=lambda: page.last is not None)
             if held_up == "paused":
                 loop.paused.set()
             else:
@@ -312,14 +316,14 @@ def test_damaged_frames_and_errors_of_the_driver_end_no_live_source():
 def test_a_clock_that_was_set_while_recording_delays_nothing_in_the_playback(jump_s, monkeypatch):
     """The frames before and after keep their pace; the jump itself lasts no longer than a gap may."""
     clock = SimpleNamespace(now=0.0)
-    monkeypatch.setattr(playback.time, "monotonic", lambda: clock.now)
-    monkeypatch.setattr(playback.time, "sleep", lambda seconds: setattr(clock, "now", clock.now + seconds))
+    monkeypatch.setattr(threaded_source.time, "monotonic", lambda: clock.now)
+    monkeypatch.setattr(threaded_source.time, "sleep", lambda seconds: setattr(clock, "now", clock.now + seconds))
     times = [index / 10 + (jump_s if index >= 5 else 0) for index in range(10)]
     source = SimpleNamespace(
         __enter__=lambda: None,
         frames=lambda: iter([Frame(np.zeros(SHAPE, np.uint8), Encoding(0, 255), each, 0) for each in times]),
     )
-    device, shown = playback.Playback(source, speed=1.0, loop=False), []
+    device, shown = threaded_source.Playback(source, speed=1.0, loop=False), []
     for index in range(10):
         device.read(index)
         shown.append(clock.now)
@@ -394,8 +398,8 @@ def test_an_item_can_be_waited_for_with_patience():
 
 @pytest.mark.slow
 def test_a_camera_that_misbehaves_leaves_nothing_behind(tmp_path):
-    """A short run of benchmarks/long_run.py: with the page where the server is installed."""
-    page_shown = importlib.util.find_spec("starlette") is not None
+    """A short run of benchmarks/long_run.py: with the page where viser is installed."""
+    page_shown = importlib.util.find_spec("viser") is not None
     threads, handles = set(threading.enumerate()), len(os.listdir("/proc/self/fd"))
     rows, facts = long_run.run(12.0, page_shown=page_shown, model=False, folder=tmp_path, sample_s=0.2)
     assert facts["failure"] is None
@@ -419,7 +423,7 @@ def test_a_leak_is_found_and_scatter_is_none(rng, leak, flat):
     seconds = np.arange(1200.0)
     rows = np.zeros((len(seconds), len(long_run.COLUMNS)))
     rows[:, 0] = seconds
-    for name, level in (("memory_mb", 800), ("handles", 20), ("threads", 30), ("queued", 1), ("connections", 6),
+    for name, level in (("memory_mb", 800), ("handles", 20), ("threads", 30), ("queued", 1), ("messages", 60),
                         ("blocks", 3e5)):  # fmt: skip
         column = long_run.COLUMNS.index(name)
         warm = np.minimum(seconds / 300, 1) * level  # rises while it warms up

@@ -24,7 +24,7 @@ from chromaperture.calibration.white_sheets import measure_white_sheets
 from chromaperture.capture import raw as raw_files
 from chromaperture.capture.exif import read_model, read_noise_profile
 from chromaperture.capture.files import decode, format_of, read_image
-from chromaperture.capture.raw_container import check_complete
+from chromaperture.capture.raw import check_complete
 from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 from chromaperture.system.errors import InputError

@@ -11,9 +11,8 @@ from PIL import Image
 
 from chromaperture.capture.native_planes import Planes, rgb_of_planes
 from chromaperture.capture.picture_format import FORM, PictureFormat
-from chromaperture.capture.siting_check import find_chroma_error
 from chromaperture.color.encoding import SITINGS
-from chromaperture.evaluation.chroma_siting import check_siting, siting_without_error
+from chromaperture.evaluation.chroma_siting import check_siting, find_chroma_error, siting_without_error
 from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import sample_camera
 from chromaperture.system.errors import InputError

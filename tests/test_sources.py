@@ -17,9 +17,8 @@ from chromaperture.capture.aravis import best_format, unpack
 from chromaperture.capture.bayer import PATTERNS, superpixels
 from chromaperture.capture.files import read_image
 from chromaperture.capture.open import connected_sources, open_source
-from chromaperture.capture.playback import played
 from chromaperture.capture.source import FileSource, Frame
-from chromaperture.capture.threaded_source import DeviceLostError, LiveSource, StreamEndedError
+from chromaperture.capture.threaded_source import DeviceLostError, LiveSource, StreamEndedError, played
 from chromaperture.color.encoding import Encoding
 from chromaperture.optics.simulator.sensor import mosaic
 from chromaperture.system.errors import CaptureWarning, InputError, MissingDependencyError
@@ -191,7 +190,7 @@ def test_a_video_gives_its_frames_in_order(tmp_path):
         (".?fps=fast", "must be a number"),
         (".?speed=0", "speed"),
         (".?loop=maybe", "loop must be 1 or 0"),
-        (".?focus=3", "choose fps, black_level, white_level, mosaic, siting, primaries, speed, loop"),
+        (".?focus=3", "choose black_level, white_level, fps, mosaic, siting, primaries, speed, loop"),
         (".?camera_encoding=3", "no setting"),
         ("clip.mkv?fps=-1", "fps must be positive"),
         ("webcam?width=nan", "whole number"),
@@ -468,7 +467,7 @@ def test_photographs_of_a_tethered_camera(tmp_path):
         [sys.executable, "-c", TETHERED], capture_output=True, text=True, env=environment, timeout=60, check=False
     )
     assert made.returncode == 0, made.stderr
-    assert made.stdout.splitlines() == ["0 24 32 3", "1 24 32 3"]
+    assert made.stdout.splitlines() == ["0 12 16 3", "1 12 16 3"]  # of 4:2:0
 
 
 def test_the_cameras_levels_serve_where_a_file_can_hold_them(tmp_path):

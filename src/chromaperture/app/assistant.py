@@ -18,7 +18,7 @@ from chromaperture.calibration.assemble_camera import nominal_depth_model
 from chromaperture.calibration.session import Session
 from chromaperture.calibration.session_plan import PlannedSession
 from chromaperture.calibration.tone_curve import disparity_error
-from chromaperture.capture.exif import read_exposure
+from chromaperture.capture.exif import read_exif
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.evaluation.health import Check
@@ -83,7 +83,7 @@ def _check_exposure(
     """Check one of the photographs of a sheet at two exposures, against that whose exposure differs most."""
     if exposure_ms is not None and not 0 < exposure_ms < 1e7:
         raise InputError("give the exposure time in ms; 1/125 s is 8")
-    exposure = exposure_ms if exposure_ms is not None else read_exposure(photograph)
+    exposure = exposure_ms if exposure_ms is not None else read_exif(photograph).exposure
     if exposure is None:
         raise InputError("this file does not state its exposure time: give it in ms; 1/125 s is 8")
     typed = exposure_ms is not None

@@ -29,7 +29,7 @@ from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Film
 from chromaperture.optics.aperture import Aperture, channel_transmission, design_named, made_of
 from chromaperture.optics.pinhole import centered_pinhole
-from chromaperture.optics.pupil_samples import pupil_samples
+from chromaperture.optics.psf import pupil_samples
 from chromaperture.settings.methods import QUALITIES
 from chromaperture.system.errors import ChromapertureError
 

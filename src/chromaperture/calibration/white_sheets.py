@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from chromaperture.calibration.session import SHEETS, Session
-from chromaperture.capture.developed import UNMIXED, is_developed
-from chromaperture.capture.exif import read_noise_profile
+from chromaperture.capture.exif import UNMIXED, is_developed, read_noise_profile
 from chromaperture.color.film import completed_film
 from chromaperture.color.noise import fit_photon_noise, noise_samples, photon_noise_of_sheets
 from chromaperture.color.unmixing import own_film_unmixing

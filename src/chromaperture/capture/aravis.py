@@ -36,17 +36,9 @@ def load_aravis() -> Any:
 class AravisCamera:
     """An opened camera, acquiring.
 
-    Parameters
-    ----------
-    identity : str
-        Serial number, address or Aravis id; empty for the first one found.
-    exposure_us, gain, fps : float, optional
-    width, height : int, optional
-        Region from the sensor's corner.
-    pixel_format : str, optional
-        GenICam name; default the best Bayer or RGB format there is.
-    black_level, white_level : float, optional
-        Counts of no light and of a full well; default 0 and the format's largest.
+    ``identity`` is a serial number, address or Aravis id; empty for the first one found. Width and height are of a
+    region from the sensor's corner. ``pixel_format`` is GenICam's name; default the best Bayer or RGB format there is,
+    with levels of 0 and its highest count.
     """
 
     def __init__(
@@ -138,27 +130,7 @@ def best_format(available: list[str]) -> str:
 def unpack(
     data: bytes, width: int, height: int, pixel_format: str, black_level: float = 0.0, white_level: float | None = None
 ) -> tuple[np.ndarray, Encoding]:
-    """Convert a camera's bytes to counts.
-
-    Parameters
-    ----------
-    data : bytes
-    width, height : int
-        Of the mosaic or picture.
-    pixel_format : str
-        Bayer in 8, 10, 12 or 16 bits unpacked, or RGB8.
-    black_level, white_level : float, optional
-
-    Returns
-    -------
-    counts : (H, W, 3) uint8, uint16 or float32
-    encoding : Encoding
-
-    Raises
-    ------
-    InputError
-        Another pixel format.
-    """
+    """Convert the bytes of Bayer in 8, 10, 12 or 16 bits unpacked, or of RGB8, to counts; raises InputError."""
     found = re.fullmatch(r"Bayer(RG|BG|GR|GB)(8|10|12|16)", pixel_format)
     if pixel_format in ("RGB8", "RGB8Packed"):
         counts = np.frombuffer(data, np.uint8, 3 * width * height).reshape(height, width, 3).copy()

@@ -30,22 +30,9 @@ _SAMPLES = 20_000  # pixels that are checked: standard error of a fraction below
 
 
 def check_capture(image: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
-    """Check a photograph before it is measured.
+    """Check a photograph of linear RGB, 1.0 = white level, before it is measured; (H, W, 3) float32, contiguous.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float, linear RGB, 1.0 = white level
-    width_px, height_px : int
-        The camera's size.
-
-    Returns
-    -------
-    (H, W, 3) float32, contiguous
-
-    Raises
-    ------
-    InputError
-        Wrong shape, type or size; all black, saturated, grey, or not finite.
+    Raises InputError for a wrong shape, type or size, and where all is black, saturated, grey, or not finite.
     """
     image = checked_image(image)
     if image.shape[:2] != (height_px, width_px):
@@ -80,17 +67,7 @@ def check_form(
 ) -> None:
     """Raise or warn where a photograph is read otherwise than those that the camera was calibrated on.
 
-    Parameters
-    ----------
-    form : PictureFormat
-    name : str
-        Of the file.
-    provenance : Mapping
-        Of the camera file: without a word on what its photographs were, they were read at full size.
-    encoding : Encoding, optional
-        Of the camera.
-    is_cropped : bool
-        The photograph is a part of the frame.
+    A camera file's provenance without a word on what its photographs were means that they were read at full size.
     """
     if form.mosaic is not None or form.reduction == 1:
         return
@@ -109,14 +86,7 @@ def check_form(
 
 
 def check_primaries(image: np.ndarray, space_name: str, name: str) -> None:
-    """Raise InputError where the primaries a file is tagged with make negative light of its colours.
-
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear light brought to the primaries of sRGB
-    space_name, name : str
-        Of the tag, and of the file.
-    """
+    """Raise InputError where the primaries that a file is tagged with make negative light of its colours."""
     some = image[:: max(1, image.shape[0] // _SPARSE), :: max(1, image.shape[1] // _SPARSE)].reshape(-1, 3)
     brightest = some.max(axis=1)
     negative = float(((brightest > DARK) & (some.min(axis=1) < _NEGATIVE * brightest)).mean())

@@ -15,7 +15,7 @@ from PIL import Image, JpegImagePlugin
 
 from chromaperture.capture.bayer import check_not_quad, superpixels
 from chromaperture.capture.heif import heif_format, is_heif, read_heif, stored_turn
-from chromaperture.capture.picture_format import LUMA_WEIGHTS, SENSOR_LIGHT, KnownFrom, PictureFormat, known_from_tags
+from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat, mosaic_format
 from chromaperture.capture.picture_header import (
     PNG_MARK,
     TIFF_MARKS,
@@ -24,70 +24,50 @@ from chromaperture.capture.picture_header import (
     open_picture,
     other_kind,
 )
-from chromaperture.capture.tiff import decode_tiff, no_check, tiff_header
+from chromaperture.capture.tiff import TURNS, decode_tiff, tiff_format
 from chromaperture.color.color_space import UNTAGGED, ColorSpace
 from chromaperture.color.color_tags import of_exif, of_icc, of_png
-from chromaperture.color.encoding import Encoding, Pattern, StatedFacts
+from chromaperture.color.encoding import Encoding, Pattern
 from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
     import av.container
 
 _ORIENTATION, _EXIF_IFD, _COLOR_SPACE, _INTEROP_IFD, _INTEROP_INDEX = 0x0112, 0x8769, 0xA001, 0xA005, 1
-_TURNS = {3: 180, 6: 90, 8: 270}  # codes of EXIF's orientation, degrees clockwise; others are mirrored, or upright
 _JPEG_END = b"\xff\xd9"  # a marker, which coded data do not hold
 _LEAST_TAIL = bytes(4096)  # that no encoder writes: what a broken copy leaves
+_KINDS = {"WEBP": "WebP", "PPM": "PNM", "MPO": "JPEG"}  # names for people that are not Pillow's
 _CODECS = {"JPEG": "mjpeg", "WebP": "webp"}
 
 
-def format_of_data(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
+def format_of_data(data: bytes, name: str, mosaic: Pattern | None) -> PictureFormat:
     """Return what a file is by its header; raises InputError, or what decoders raise on a damaged file."""
     if (is_heif(data) or data.startswith(b"WEBP", 8)) and data.endswith(_LEAST_TAIL):
         raise ValueError("the file ends in zeros")
     if is_heif(data):
-        return heif_format(data, name, stated)
+        return heif_format(data, name)
     if data.startswith(TIFF_MARKS):
-        return _tiff_format(data, name, stated)
+        return tiff_format(data, name, mosaic)
     if (other := other_kind(data)) is not None:
         raise InputError(f"{name} is {other}")
     picture = open_picture(data)
     if getattr(picture, "n_frames", 1) > 1 and picture.format != "MPO":
         raise InputError(f"{name} holds {picture.n_frames} pictures; give one photograph a file")  # type: ignore[attr-defined]
     if picture.format == "AVIF":
-        return _avif_format(data, name, stated)
-    if stated.mosaic is not None and picture.mode.startswith(("L", "I", "F")):
-        return _mosaic(kind_of(picture), picture.size, 16 if _is_deep(data) else 8, stated.mosaic)
-    factors = _factors(picture, data)
-    space = _space_of(picture, data)
-    known = known_from_tags(space)
-    if factors != (1, 1):
-        known["siting"] = "default" if stated.siting is None else "option"
-    turn = _TURNS.get(_exif(picture).get(_ORIENTATION, 1), 0)
-    kind = kind_of(picture)
+        return _avif_format(data, name)
+    kind, bits = _KINDS.get(str(picture.format), str(picture.format)), 16 if _is_deep(data) else 8
+    if mosaic is not None and picture.mode.startswith(("L", "I", "F")):
+        return mosaic_format(kind, picture.size, bits, mosaic, known_from="option")
+    factors, space = _factors(picture, data), _space_of(picture, data)
+    is_whole = factors == (1, 1)
     return PictureFormat(
-        kind, picture.size, 16 if _is_deep(data) else 8, factors, stated.siting or "centre",
-        LUMA_WEIGHTS[2] if factors != (1, 1) else None, space=space,
-        full_range=kind != "WebP" or factors == (1, 1), turn_degrees=turn, known_from=known,
+        kind, picture.size, bits, factors, luma_weights=None if is_whole else LUMA_WEIGHTS[2], space=space,
+        full_range=kind != "WebP" or is_whole, turn_degrees=TURNS.get(_exif(picture).get(_ORIENTATION, 1), 0),
     )  # fmt: skip
 
 
-def kind_of(picture: Image.Image) -> str:
-    """Return the name of a picture's format, for people."""
-    return {"WEBP": "WebP", "PPM": "PNM", "MPO": "JPEG"}.get(str(picture.format), str(picture.format))
-
-
-def _mosaic(kind: str, size_px: tuple[int, int], bits: int, pattern: Pattern) -> PictureFormat:
-    """Return the format of a grey file that is a mosaic; an odd last row or column has no whole cell."""
-    size_px = size_px[0] // 2 * 2, size_px[1] // 2 * 2
-    known: dict[str, KnownFrom] = {"mosaic": "option"}
-    return PictureFormat(kind, size_px, bits, (2, 2), space=SENSOR_LIGHT, mosaic=pattern, known_from=known)
-
-
 def counts_of_data(data: bytes, form: PictureFormat, name: str) -> tuple[np.ndarray, Encoding]:
-    """Return a file's counts, (H, W, S), and how they become light; raises as `format_of_data`.
-
-    The picture has the size `PictureFormat.read_size_px`.
-    """
+    """Return a file's counts at `PictureFormat.read_size_px`, (H, W, S), and how they become light; raises as above."""
     if form.kind == "HEIC":
         counts, white = read_heif(data, form, name)
         return counts, form.encoding(white)
@@ -111,12 +91,13 @@ def counts_of_data(data: bytes, form: PictureFormat, name: str) -> tuple[np.ndar
     return cells, replace(own, given=False)
 
 
-def samples_of_data(data: bytes, name: str, *, check: Callable[[int, int], None] = no_check) -> np.ndarray:
+def samples_of_data(data: bytes, name: str, *, check: Callable[[int, int], None] | None = None) -> np.ndarray:
     """Return the samples of a file that does not subsample chroma, in R, G, B order; raises as `format_of_data`."""
     if data.startswith(TIFF_MARKS):
         return decode_tiff(data, name, check=check)
     picture = open_picture(data)
-    check(*picture.size)
+    if check is not None:
+        check(*picture.size)
     if data.startswith(PNG_MARK):
         check_png_sums(data)
     else:
@@ -182,18 +163,7 @@ def _exif(picture: Image.Image) -> Image.Exif:
     return exif
 
 
-def _tiff_format(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
-    header = tiff_header(data, name)
-    if stated.mosaic is not None and header.samples == 1:
-        return _mosaic("TIFF", header.size_px, header.bits, stated.mosaic)
-    space = UNTAGGED if header.profile is None else of_icc(header.profile)
-    return PictureFormat(
-        "TIFF", header.size_px, header.bits, space=space, turn_degrees=_TURNS.get(header.orientation, 0),
-        known_from=known_from_tags(space),
-    )  # fmt: skip
-
-
-def _avif_format(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
+def _avif_format(data: bytes, name: str) -> PictureFormat:
     """Return what an AVIF file is; its size is Pillow's, for FFmpeg takes a picture made of tiles for the first."""
     from chromaperture.capture.decoded_frame import format_of_frame
 
@@ -205,8 +175,7 @@ def _avif_format(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
         if (context.width, context.height) != picture.size:
             raise InputError(f"{name} is an AVIF picture made of tiles, which is not read; export it as PNG")
         space = of_icc(profile) if profile else None
-        turn = stored_turn(data, name)
-        return format_of_frame(context, "AVIF", siting="centre", stated=stated, space=space, turn_degrees=turn)
+        return format_of_frame(context, "AVIF", siting="centre", space=space, turn_degrees=stored_turn(data, name))
 
 
 @contextlib.contextmanager

@@ -13,9 +13,9 @@ import av.logging
 import numpy as np
 
 from chromaperture.capture.native_planes import ENCODED_WHITE, Planes, rgb_of_planes
-from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat, known_from_tags
+from chromaperture.capture.picture_format import LUMA_WEIGHTS, KnownFrom, PictureFormat
 from chromaperture.color.color_space import ColorSpace, of_codes
-from chromaperture.color.encoding import NOTHING_STATED, Siting, StatedFacts
+from chromaperture.color.encoding import Siting
 from chromaperture.system.errors import InputError
 
 logging.getLogger("libav").addHandler(logging.NullHandler())  # as for tifffile: an error is one line of ours
@@ -48,28 +48,13 @@ def format_of_frame(
     kind: str,
     *,
     siting: Siting,
-    stated: StatedFacts = NOTHING_STATED,
     space: ColorSpace | None = None,
     turn_degrees: int = 0,
 ) -> PictureFormat:
     """Return what the frames of a stream are, by a frame or by the stream's header.
 
-    Parameters
-    ----------
-    source : av.VideoFrame or av.VideoCodecContext
-    kind : str
-        Of file or codec, for people.
-    siting : {"centre", "left", "top-left"}
-        Of files that do not state it: FFmpeg tells it nowhere.
-    stated : StatedFacts
-    space : ColorSpace, optional
-        As the file around the frame says; else the stream's own tags.
-    turn_degrees : int
-
-    Raises
-    ------
-    InputError
-        Grey, or in a form that is not read.
+    ``siting`` is that of such files, which FFmpeg tells nowhere; ``space`` what the file around the frame says, in
+    place of the stream's own tags. Raises InputError where frames are grey, or in a form that is not read.
     """
     layout = source.format
     if layout is None:
@@ -80,20 +65,20 @@ def format_of_frame(
     if len(layout.components) < 3 or layout.has_palette:
         raise InputError(f"its frames are {layout.name}: depth is in the colours, so choose a colour format")
     space = of_codes(int(source.color_primaries), int(source.color_trc)) if space is None else space
-    known = known_from_tags(space)
     size = source.width, source.height
     if layout.is_rgb:
-        return PictureFormat(kind, size, bits, space=space, turn_degrees=turn_degrees, known_from=known)
+        return PictureFormat(kind, size, bits, space=space, turn_degrees=turn_degrees)
     if code not in LUMA_WEIGHTS:
         raise InputError(f"its colour matrix (code {code} of H.273) is not read; export it as BT.709")
-    known["siting"] = "default" if stated.siting is None else "option"
-    known["matrix"] = "default" if code in _UNSPECIFIED else "tag"
-    known["range"] = "tag" if source.color_range else "default"
+    known: dict[str, KnownFrom] = {
+        "matrix": "default" if code in _UNSPECIFIED else "tag",
+        "range": "tag" if source.color_range else "default",
+    }
     full_range = int(source.color_range) == _FULL_RANGE or layout.name.startswith("yuvj")
     chroma = layout.components[1]
     factors = round(size[0] / chroma.width), round(size[1] / chroma.height)
     return PictureFormat(
-        kind, size, bits, factors, stated.siting or siting, LUMA_WEIGHTS[code], full_range, space,
+        kind, size, bits, factors, siting, LUMA_WEIGHTS[code], full_range, space,
         turn_degrees=turn_degrees, known_from=known,
     )  # fmt: skip
 

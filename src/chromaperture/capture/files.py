@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple, Unpack
 
 import numpy as np
 
@@ -20,18 +20,18 @@ from chromaperture.capture.checks import check_primaries
 from chromaperture.capture.coded_pictures import counts_of_data, format_of_data, samples_of_data
 from chromaperture.capture.picture_format import PictureFormat
 from chromaperture.capture.picture_header import check_size, same_frame
-from chromaperture.capture.raw_container import holds_raw
+from chromaperture.capture.raw import holds_raw, raw_format, read_raw
 from chromaperture.capture.shots import is_raw
-from chromaperture.capture.source import choose_encoding
 from chromaperture.color.encoding import (
     CENTRED,
     NOTHING_STATED,
     Encoding,
+    Levels,
     Pattern,
     Siting,
     StatedFacts,
+    choose_encoding,
     develop_counts,
-    format_encoding,
 )
 from chromaperture.system.errors import CaptureWarning, InputError
 from chromaperture.system.validation import MOST_FILE_BYTES, read_bytes
@@ -42,19 +42,9 @@ _SPARSE = 61  # rows and columns: a colour picture is hardly ever grey at all of
 
 @dataclass(frozen=True)
 class Decoded:
-    """Content of a photograph's file.
+    """Content of a photograph's file; ``own`` is None where levels are those of the type of its numbers."""
 
-    Attributes
-    ----------
-    array : (H, W, 3) uint8, uint16, float32 or float64
-        R, G, B as stored; for RAW files twice the mosaic's counts, see `superpixels`; at the places of the chroma
-        samples where chroma is subsampled.
-    own : Encoding or None
-        Of a file that states how its counts become light; else by the type of its numbers.
-    form : PictureFormat or None
-    """
-
-    array: np.ndarray
+    array: np.ndarray  # (H, W, 3) R, G, B as stored, at the places of chroma samples or of a mosaic's cells
     own: Encoding | None = None
     form: PictureFormat | None = None
     name: str = "the picture"
@@ -67,8 +57,7 @@ class Decoded:
         return self.own.black_level / 2, self.own.white_level / 2
 
 
-@dataclass(frozen=True)
-class Photograph:
+class Photograph(NamedTuple):
     """A photograph as linear light, (H, W, 3) float32, and what its file is."""
 
     image: np.ndarray
@@ -80,15 +69,12 @@ def read_light(
     *,
     size_px: tuple[int, int] | None = None,
     any_scale: bool = False,
-    black_level: float | None = None,
-    white_level: float | None = None,
-    camera_encoding: Encoding | None = None,
     stated: StatedFacts = NOTHING_STATED,
+    **levels: Unpack[Levels],
 ) -> Photograph:
     """`decode`, then `linearise`; parameters, errors and warnings are theirs."""
     decoded = decode(path, size_px=size_px, any_scale=any_scale, stated=stated)
-    levels = {"black_level": black_level, "white_level": white_level}
-    return Photograph(linearise(decoded, **levels, camera_encoding=camera_encoding), decoded.form)
+    return Photograph(linearise(decoded, **levels), decoded.form)
 
 
 def read_image(
@@ -144,16 +130,9 @@ def read_image(
     return linearise(decoded, black_level=black_level, white_level=white_level)
 
 
-def linearise(
-    decoded: Decoded,
-    *,
-    black_level: float | None = None,
-    white_level: float | None = None,
-    camera_encoding: Encoding | None = None,
-) -> np.ndarray:
+def linearise(decoded: Decoded, **levels: Unpack[Levels]) -> np.ndarray:
     """Convert the content of a file to linear light; see `read_image` and, for the levels, `choose_encoding`."""
-    levels = {"black_level": black_level, "white_level": white_level}
-    encoding = encoding_of(decoded, **levels, camera_encoding=camera_encoding)
+    encoding = choose_encoding(decoded.own, decoded.array, **levels)
     image = develop_counts(decoded.array, encoding)
     if decoded.form is not None and encoding.to_srgb is not None:
         check_primaries(image, decoded.form.space.name, decoded.name)
@@ -161,32 +140,13 @@ def linearise(
 
 
 def read_counts(
-    path: str | Path,
-    *,
-    black_level: float | None = None,
-    white_level: float | None = None,
-    camera_encoding: Encoding | None = None,
-    stated: StatedFacts = NOTHING_STATED,
+    path: str | Path, *, stated: StatedFacts = NOTHING_STATED, **levels: Unpack[Levels]
 ) -> tuple[np.ndarray, Encoding, PictureFormat | None]:
     """Read a photograph's counts, (H, W, 3), how they become light, see `choose_encoding`, and what the file is."""
-    if camera_encoding is not None:
-        stated = stated.or_else(camera_encoding.stated)
+    if (camera := levels.get("camera_encoding")) is not None:
+        stated = stated.or_else(camera.stated)
     decoded = decode(path, stated=stated)
-    levels = {"black_level": black_level, "white_level": white_level}
-    return decoded.array, encoding_of(decoded, **levels, camera_encoding=camera_encoding), decoded.form
-
-
-def encoding_of(
-    decoded: Decoded,
-    *,
-    black_level: float | None = None,
-    white_level: float | None = None,
-    camera_encoding: Encoding | None = None,
-) -> Encoding:
-    """Choose how to convert the content of a file to linear light; see `choose_encoding`."""
-    own = decoded.own or format_encoding(decoded.array.dtype)
-    levels = {"black_level": black_level, "white_level": white_level}
-    return choose_encoding(own, decoded.array, **levels, camera_encoding=camera_encoding)
+    return decoded.array, choose_encoding(decoded.own, decoded.array, **levels), decoded.form
 
 
 def opens_as_raw(path: Path) -> bool:
@@ -211,12 +171,10 @@ def format_of(path: str | Path, stated: StatedFacts = NOTHING_STATED) -> Picture
     """Return what a photograph's file is by its header; raises InputError like `read_image`."""
     path = Path(path)
     if opens_as_raw(path):
-        from chromaperture.capture.raw import raw_format
-
         return raw_format(path)
     data = _read(path)
     with _reported(path):
-        form = format_of_data(data, path.name, stated).with_stated(stated)
+        form = format_of_data(data, path.name, stated.mosaic).with_stated(stated)
         check_size(*form.size_px, path.name, None)
     return form
 
@@ -234,8 +192,6 @@ def decode(
     """
     path = Path(path)
     if opens_as_raw(path):
-        from chromaperture.capture.raw import raw_format, read_raw
-
         form = raw_format(path)
         if any_scale and size_px is not None and same_frame(size_px, form.read_size_px):
             size_px = form.read_size_px
@@ -243,7 +199,7 @@ def decode(
         return Decoded(counts, own, form)
     data = _read(path)
     with _reported(path):
-        form = format_of_data(data, path.name, stated).with_stated(stated)
+        form = format_of_data(data, path.name, stated.mosaic).with_stated(stated)
         is_scaled = any_scale and size_px is not None and same_frame(size_px, form.read_size_px)
         check_size(*form.read_size_px, path.name, None if is_scaled else size_px, file_bytes=len(data))
         check_size(*form.size_px, path.name, None, file_bytes=len(data))
@@ -254,17 +210,9 @@ def decode(
 
 
 def read_samples(path: str | Path) -> np.ndarray:
-    """Read a PNG, TIFF, PPM or JPEG file as it is stored, whatever it shows: a map, a mask, a picture.
+    """Read a PNG, TIFF, PPM or JPEG file as it is stored, a map, a mask, a picture: (H, W) or (H, W, S), R, G, B.
 
-    Returns
-    -------
-    (H, W) or (H, W, S) array
-        Channels in the order R, G, B.
-
-    Raises
-    ------
-    InputError
-        The file is missing, damaged or too large.
+    Raises InputError where it is missing, damaged or too large.
     """
     path = Path(path)
     data = _read(path)
@@ -290,13 +238,10 @@ def _reported(path: Path) -> Iterator[None]:
     except (CaptureWarning, MemoryError):  # the first where warnings are errors
         raise
     except Exception:
-        raise InputError(_damaged(path)) from None
-
-
-def _damaged(path: Path) -> str:
-    return (
-        f"{path.name} is damaged or not an image (PNG, TIFF, PPM, JPEG, BMP, WebP, AVIF or HEIC); copy the file again"
-    )
+        raise InputError(
+            f"{path.name} is damaged or not an image (PNG, TIFF, PPM, JPEG, BMP, WebP, AVIF or HEIC); "
+            "copy the file again"
+        ) from None
 
 
 def _checked(counts: np.ndarray, path: Path) -> np.ndarray:

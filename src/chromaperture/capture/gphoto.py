@@ -5,76 +5,50 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from chromaperture.capture.files import read_counts
 from chromaperture.capture.picture_format import described
-from chromaperture.capture.source import Event, FileSource, Frame, Listener
+from chromaperture.capture.source import Frame, PictureSource, needed
 from chromaperture.capture.threaded_source import not_there
-from chromaperture.color.encoding import Encoding
-from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import InputError
+
+_HINT = "tethered cameras need gphoto2: pip install 'chromaperture[cameras]'"
 
 
-def load_gphoto2() -> Any:
-    """Import gphoto2; raises MissingDependencyError with the extra to install."""
-    try:
-        import gphoto2
-    except ImportError:
-        raise MissingDependencyError("tethered cameras need gphoto2: pip install 'chromaperture[cameras]'") from None
-    return gphoto2
-
-
-class TetheredCamera(FileSource):
+@dataclass(kw_only=True, eq=False)
+class TetheredCamera(PictureSource):
     """Take a photograph for each frame; RAW files become half-size superpixels.
 
-    Parameters
-    ----------
-    port : str
-        As listed by `gphoto2 --auto-detect`; empty for the first camera.
-    count : int, optional
-        Number of photographs; unlimited when absent.
-    shutterspeed, iso, aperture : str, optional
-        Settings as the camera spells them.
-    black_level, white_level, camera_encoding : float or Encoding, optional
-        See `choose_encoding`.
-    retry_s : float
-        Pause between attempts to reconnect a lost camera.
-    listener : callable, optional
+    The place is a port as listed by `gphoto2 --auto-detect`; empty for the first camera. ``shutterspeed``, ``iso`` and
+    ``aperture`` are as the camera spells them.
     """
 
-    def __init__(
-        self,
-        port: str = "",
-        *,
-        count: int | None = None,
-        shutterspeed: str | None = None,
-        iso: str | None = None,
-        aperture: str | None = None,
-        black_level: float | None = None,
-        white_level: float | None = None,
-        camera_encoding: Encoding | None = None,
-        retry_s: float = 1.0,
-        listener: Listener | None = None,
-    ) -> None:
-        super().__init__(f"gphoto2:{port}" if port else "gphoto2", listener=listener)
-        self._port, self._count, self._retry_s = port, count, retry_s
-        self._settings = {"shutterspeed": shutterspeed, "iso": iso, "f-number": aperture}
-        self._levels: dict[str, Any] = {"black_level": black_level, "white_level": white_level}
-        self._levels["camera_encoding"] = camera_encoding
+    kind = "gphoto2"
+
+    count: int | None = None  # of photographs; unlimited when absent
+    shutterspeed: str | None = None
+    iso: str | None = None
+    aperture: str | None = None
+    retry_s: float = 1.0  # between attempts to reconnect a lost camera
+
+    def __post_init__(self) -> None:
         self._camera: Any = None
 
     def open(self) -> None:
         """Connect to the camera and apply the settings."""
-        gphoto2 = load_gphoto2()
+        gphoto2 = needed("gphoto2", _HINT)
         camera = gphoto2.Camera()
         try:
-            if self._port:
+            if self.place:
                 ports = gphoto2.PortInfoList()
                 ports.load()
-                camera.set_port_info(ports[ports.lookup_path(self._port)])
+                camera.set_port_info(ports[ports.lookup_path(self.place)])
             camera.init()
-            for name, value in self._settings.items():
+            settings = {"shutterspeed": self.shutterspeed, "iso": self.iso, "f-number": self.aperture}
+            for name, value in settings.items():
                 if value is not None:
                     widget = camera.get_single_config(name)
                     widget.set_value(str(value))
@@ -92,20 +66,20 @@ class TetheredCamera(FileSource):
 
     def frames(self) -> Iterator[Frame]:
         """Take photographs; wait for a lost camera to return."""
-        gphoto2 = load_gphoto2()
+        gphoto2 = needed("gphoto2", _HINT)
         index = 0
         with tempfile.TemporaryDirectory(prefix="chromaperture-") as folder:
-            while self._count is None or index < self._count:
+            while self.count is None or index < self.count:
                 try:
                     made = self._camera.capture(gphoto2.GP_CAPTURE_IMAGE)
                     path = Path(folder, made.name)
                     file = self._camera.file_get(made.folder, made.name, gphoto2.GP_FILE_TYPE_NORMAL)
                     file.save(str(path))
                 except gphoto2.GPhoto2Error as error:
-                    self.listener(Event("lost", f"{self.name} does not answer ({error.string}); looking for it again"))
+                    self.report("lost", f"{self.name} does not answer ({error.string}); looking for it again")
                     self._reconnect()
                     continue
-                counts, encoding, form = read_counts(path, **self._levels)
+                counts, encoding, form = read_counts(path, **self.levels)
                 path.unlink()
                 yield Frame(counts, encoding, time.time(), index, {"file": made.name} | described(form))
                 index += 1
@@ -113,16 +87,16 @@ class TetheredCamera(FileSource):
     def _reconnect(self) -> None:
         while True:
             self.close()
-            time.sleep(self._retry_s)
+            time.sleep(self.retry_s)
             try:
                 self.open()
             except InputError:
                 continue
-            self.listener(Event("reconnected", f"{self.name} is back"))
+            self.report("reconnected", f"{self.name} is back")
             return
 
 
 def tethered_cameras() -> list[str]:
     """List the ports of the cameras found by gphoto2."""
-    found = load_gphoto2().Camera.autodetect()
+    found = needed("gphoto2", _HINT).Camera.autodetect()
     return [str(found.get_value(i)) for i in range(found.count())]

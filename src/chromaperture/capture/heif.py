@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from chromaperture.capture.native_planes import ENCODED_WHITE, Planes, rgb_of_planes
-from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat, known_from_tags
+from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat
 from chromaperture.capture.picture_header import brands
+from chromaperture.capture.source import needed
 from chromaperture.color.color_space import UNTAGGED, of_codes
 from chromaperture.color.color_tags import of_icc
-from chromaperture.color.encoding import StatedFacts
-from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import InputError
 
 _CHROMA = {420: (2, 2), 422: (2, 1), 444: (1, 1)}
 # Boxes of ISO 23008-12, 6.5.10 and 6.5.12: quarters of a turn, counterclockwise, and a mirror.
@@ -38,27 +38,7 @@ def stored_turn(data: bytes, name: str) -> int:
 
 
 def read_heif(data: bytes, form: PictureFormat, name: str) -> tuple[np.ndarray, float]:
-    """Read a file's primary picture as stored, its turn taken back.
-
-    Parameters
-    ----------
-    data : bytes
-    form : PictureFormat
-        See `heif_format`.
-    name : str
-        Of the file, for messages.
-
-    Returns
-    -------
-    counts : (h, w, 3) uint8, uint16 or float32
-    white : float
-        Highest count.
-
-    Raises
-    ------
-    InputError
-        Damaged.
-    """
+    """Return counts of a file's primary picture as stored, its turn taken back, and the highest; raises InputError."""
     try:
         rgb = np.asarray(_opened(data, name))[..., :3]
     except InputError:
@@ -93,26 +73,15 @@ def _one_line(error: Exception) -> str:
 
 
 def _opened(data: bytes, name: str) -> Any:
-    try:
-        import pillow_heif
-    except ImportError:
-        raise MissingDependencyError(f"{name} is a HEIC file; to read it: pip install pillow-heif") from None
+    pillow_heif = needed("pillow_heif", f"{name} is a HEIC file; to read it: pip install pillow-heif")
     try:
         return pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=False)
     except Exception as error:
         raise InputError(f"{name} is damaged or not a HEIC file ({_one_line(error)}); copy the file again") from None
 
 
-def heif_format(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
-    """Return what a file is by its header.
-
-    Raises
-    ------
-    InputError
-        Damaged, grey, mirrored or tagged with a colour space that is not read.
-    MissingDependencyError
-        pillow-heif is not installed.
-    """
+def heif_format(data: bytes, name: str) -> PictureFormat:
+    """Return what a file is by its header; raises InputError, also of what is grey or mirrored."""
     picture = _opened(data, name)
     info, (width, height) = picture.info, picture.size
     if not picture.mode.startswith("RGB"):
@@ -127,11 +96,8 @@ def heif_format(data: bytes, name: str, stated: StatedFacts) -> PictureFormat:
     space = of_icc(profile) if profile else UNTAGGED
     if not profile and codes:
         space = of_codes(codes["color_primaries"], codes["transfer_characteristics"])
-    known = known_from_tags(space)
-    known["siting"] = "option" if stated.siting else "default"
     size = (height, width) if turn % 180 else (width, height)
     factors, bits = _CHROMA.get(info.get("chroma", 420), (2, 2)), int(info.get("bit_depth", 8))
     return PictureFormat(  # libheif hands out the full range
-        "HEIC", size, bits, factors, stated.siting or "centre", LUMA_WEIGHTS[matrix], True, space, turn_degrees=turn,
-        known_from=known,
-    )  # fmt: skip
+        "HEIC", size, bits, factors, luma_weights=LUMA_WEIGHTS[matrix], space=space, turn_degrees=turn
+    )

@@ -1,14 +1,8 @@
 """Luma and chroma as a file stores them to R, G and B, without making up chroma between its samples.
 
-A decoder that brings subsampled chroma up to the size of luma takes detail from R and B that luma keeps, and where it
-assumes another siting it moves them: both change the displacement between the channels, which is what is measured, by
-the colour of the object. Here luma is brought down to the places of the chroma samples instead, by the low pass whose
-centre they are; chroma stays untouched, and the picture has one pixel a chroma sample.
-
-References
-----------
-ITU-T H.273 (2024): matrices, ranges and sample locations of chroma (8.7).
-ITU-T T.871 (JFIF): chroma centred among luma, full range, BT.601.
+A decoder that brings chroma up to the size of luma moves detail between the channels, by the colour of the object, and
+their displacement is what is measured. Here luma is brought down to the places of the chroma samples, by the low pass
+whose centre they are; chroma stays untouched (ITU-T H.273, 8.7; ITU-T T.871, of JPEG: centred, full range, BT.601).
 """
 
 from __future__ import annotations
@@ -35,19 +29,10 @@ class Planes:
 
 
 def rgb_of_planes(planes: Planes, form: PictureFormat) -> np.ndarray:
-    """Return R', G', B' at the places of the chroma samples.
+    """Return R', G', B' at the places of the chroma samples; (h, w, 3) float32, from 0 to `ENCODED_WHITE`.
 
-    Parameters
-    ----------
-    planes : Planes
-    form : PictureFormat
-        With the factors of the chroma, its siting, matrix, range and bits.
-
-    Returns
-    -------
-    (h, w, 3) float32, from 0 to `ENCODED_WHITE`
-        Still encoded; a little beyond both ends where a codec has rounded. Where chroma is subsampled along one side
-        only, the other is averaged to the same factor.
+    Still encoded; a little beyond both ends where a codec has rounded. Where chroma is subsampled along one side only,
+    the other is averaged to the same factor.
     """
     width, height = form.read_size_px
     across, down = form.chroma_factors
@@ -56,11 +41,9 @@ def rgb_of_planes(planes: Planes, form: PictureFormat) -> np.ndarray:
     rgb = np.empty((height, width, 3), np.float32)
 
     def convert(rows: slice) -> None:
-        stored = np.empty((rows.stop - rows.start, width, 3), np.float32)
-        stored[..., 0] = _at_sites(planes.luma, rows, form)
-        for i, plane in enumerate((planes.blue, planes.red), start=1):
-            stored[..., i] = _mean(plane, rows, rest, width)
-        cv2.transform(stored, matrix, dst=rgb[rows])
+        chroma = (_mean(plane, rows, rest, width) for plane in (planes.blue, planes.red))
+        parts = [part.astype(np.float32) for part in (_at_sites(planes.luma, rows, form), *chroma)]
+        cv2.transform(cv2.merge(parts), matrix, dst=rgb[rows])
 
     each_band(convert, height)
     return rgb
@@ -80,10 +63,25 @@ def _matrix(form: PictureFormat) -> np.ndarray:
 
 def _at_sites(luma: np.ndarray, rows: slice, form: PictureFormat) -> np.ndarray:
     """Return luma at the chroma samples of some rows of the result; (r, w) float32."""
-    factor, (width, _) = form.reduction, form.read_size_px
+    factor, (width, height) = form.reduction, form.read_size_px
+    is_usual = form.chroma_factors == (2, 2) and form.siting != "top-left" and luma.dtype == np.uint8
+    if is_usual and luma.shape == (2 * height, 2 * width):
+        return _halved(luma[2 * rows.start : 2 * rows.stop], is_left=form.siting == "left")
     taps = [_taps(factor if form.chroma_factors[i] > 1 else 1, factor, form.siting, along=i) for i in (0, 1)]
     columns = _weighted(luma, taps[1], factor, rows.start, rows.stop, axis=0)
     return _weighted(columns, taps[0], factor, 0, width, axis=1)
+
+
+def _halved(luma: np.ndarray, *, is_left: bool) -> np.ndarray:
+    """Do the same for 4:2:0 of 8 bits and even sides, two samples of a row at a time, in a quarter of the time."""
+    pairs = luma.view("<u2")
+    first, second = ((part[::2] + part[1::2]) for part in (pairs & 255, pairs >> 8))
+    if not is_left:
+        return (first + second) * np.float32(1 / 4)
+    total = 2 * first + second
+    total[:, 1:] += second[:, :-1]
+    total[:, 0] += first[:, 0]
+    return total * np.float32(1 / 8)
 
 
 def _taps(subsampled: int, factor: int, siting: Siting, *, along: int) -> dict[int, float]:

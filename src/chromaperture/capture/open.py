@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,12 +15,11 @@ from chromaperture.capture.aravis import AravisCamera, aravis_cameras
 from chromaperture.capture.folder import FolderSource
 from chromaperture.capture.gphoto import TetheredCamera, tethered_cameras
 from chromaperture.capture.picamera import PiCamera, pi_cameras
-from chromaperture.capture.playback import played
 from chromaperture.capture.recording import ReplaySource
 from chromaperture.capture.shots import VIDEOS
 from chromaperture.capture.simulated import SimulatedSource
 from chromaperture.capture.source import FileSource, Listener, Source
-from chromaperture.capture.threaded_source import LiveSource
+from chromaperture.capture.threaded_source import LiveSource, played
 from chromaperture.capture.video import VideoSource
 from chromaperture.capture.webcam import Webcam, webcams
 from chromaperture.color.encoding import Encoding
@@ -32,8 +31,7 @@ _FILES: dict[str, Callable[..., FileSource]] = {
     "replay": ReplaySource,
     "simulate": SimulatedSource,
 }
-_KINDS = _DEVICES | _FILES
-_PLAYABLE = {"replay", "simulate", "folder", "video"}
+_PLAYABLE, _PLAYING = {"replay", "simulate", "folder", "video"}, {"speed": None, "loop": False}
 _QUERY = re.compile(r"\w+=[^&]*(&\w+=[^&]*)*")  # a lone ? may be the wildcard of a glob
 _SWITCH = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
 
@@ -65,66 +63,53 @@ def open_source(
     InputError
         Unknown kind or setting, or a value that is not a number.
     """
-    settings = {name: value for name, value in settings.items() if value is not None}
-    text, _, query = spec.partition("?")
-    kind, found, where = text.partition(":")
-    if kind in _DEVICES or kind == "gphoto2" or (found and kind in _FILES):
-        settings = dict(parse_qsl(query, keep_blank_values=True)) | settings
-        if kind in _DEVICES:
-            return _device(kind, where, settings, listener, camera_encoding)
-        if kind != "gphoto2" and not where:
-            raise InputError(f"{kind} needs a folder: {kind}:FOLDER")
-        return _file(kind, where, _FILES[kind], settings, listener, camera_encoding)
-    if found and "/" not in kind and not os.path.exists(spec) and kind.isidentifier() and "*" not in kind:
-        raise InputError(f"unknown kind of source {kind!r}: choose {', '.join(sorted(_KINDS))}, or give a path")
-    path, mark, query = spec.rpartition("?")
-    if not mark or not _QUERY.fullmatch(query) or os.path.exists(spec):
-        path, query = spec, ""
-    settings = dict(parse_qsl(query, keep_blank_values=True)) | settings
-    if Path(path).suffix.lower() in VIDEOS and not os.path.isdir(path):
-        return _file("video", path, VideoSource, settings, listener, camera_encoding)
-    return _file("folder", path, FolderSource, settings, listener, camera_encoding)
-
-
-def _device(
-    kind: str, where: str, settings: dict[str, Any], listener: Listener | None, camera_encoding: Encoding | None
-) -> Source:
-    device = _DEVICES[kind]
-    chosen = _checked(kind, device, settings)
-    if "camera_encoding" in inspect.signature(device).parameters:
-        chosen["camera_encoding"] = camera_encoding
-    place = where or ("" if kind == "aravis" else "0")
-    name = f"{kind}:{place}" if place else kind
-    return LiveSource(name, lambda: device(place, **chosen), listener=listener)
-
-
-def _file(
-    kind: str,
-    where: str,
-    maker: Callable[..., FileSource],
-    settings: dict[str, Any],
-    listener: Listener | None,
-    camera_encoding: Encoding | None,
-) -> Source:
-    """Make a source that is read at the reader's pace, or played when the settings name a speed or a loop."""
-    playable = kind in _PLAYABLE
-    speed = settings.pop("speed", None) if playable else None
-    loop = _switch("loop", settings.pop("loop", False)) if playable else False
-    chosen = _checked(kind, maker, settings, *(("speed", "loop") if playable else ()))
-    if "camera_encoding" in inspect.signature(maker).parameters:
-        chosen["camera_encoding"] = camera_encoding
-    source = maker(where, listener=listener, **chosen)
+    kind, place, given = _parsed(spec)
+    settings = given | {name: value for name, value in settings.items() if value is not None}
+    if kind in _DEVICES:
+        device, chosen = _DEVICES[kind], _checked(kind, _DEVICES[kind], settings, camera_encoding)
+        name = f"{kind}:{place}" if place else kind
+        return LiveSource(name, lambda: device(place, **chosen), listener=listener)
+    playing = {n: settings.pop(n, default) for n, default in _PLAYING.items()} if kind in _PLAYABLE else {}
+    speed, loop = playing.get("speed"), _switch("loop", playing.get("loop", False))
+    maker = {"folder": FolderSource, "video": VideoSource}.get(kind) or _FILES[kind]
+    source = maker(place, listener=listener, **_checked(kind, maker, settings, camera_encoding, others=playing))
     if speed is None and not loop:
         return source
     return played(source, speed=1.0 if speed is None else _number("speed", speed), loop=loop, listener=listener)
 
 
-def _checked(kind: str, maker: Callable[..., Any], settings: dict[str, Any], *others: str) -> dict[str, Any]:
+def _parsed(spec: str) -> tuple[str, str, dict[str, Any]]:
+    """Return the kind of a source, the place of its files or device, and the settings that follow."""
+    text, _, query = spec.partition("?")
+    kind, found, place = text.partition(":")
+    if kind in _DEVICES or kind == "gphoto2" or (found and kind in _FILES):
+        if not place and kind in ("replay", "simulate"):
+            raise InputError(f"{kind} needs a folder: {kind}:FOLDER")
+        place = "0" if not place and kind in ("webcam", "picamera2") else place
+        return kind, place, dict(parse_qsl(query, keep_blank_values=True))
+    if found and "/" not in kind and not os.path.exists(spec) and kind.isidentifier() and "*" not in kind:
+        known = ", ".join(sorted(_DEVICES | _FILES))
+        raise InputError(f"unknown kind of source {kind!r}: choose {known}, or give a path")
+    path, mark, query = spec.rpartition("?")
+    if not mark or not _QUERY.fullmatch(query) or os.path.exists(spec):
+        path, query = spec, ""
+    kind = "video" if Path(path).suffix.lower() in VIDEOS and not os.path.isdir(path) else "folder"
+    return kind, path, dict(parse_qsl(query, keep_blank_values=True))
+
+
+def _checked(
+    kind: str,
+    maker: Callable[..., Any],
+    settings: dict[str, Any],
+    camera_encoding: Encoding | None,
+    *,
+    others: Iterable[str] = (),
+) -> dict[str, Any]:
     """Check the names of settings and convert texts to the types of the source's parameters."""
     known = {n: p for n, p in inspect.signature(maker).parameters.items() if p.kind is p.KEYWORD_ONLY}
+    chosen: dict[str, Any] = {"camera_encoding": camera_encoding} if "camera_encoding" in known else {}
     for own in ("listener", "retry_s", "camera_encoding"):
         known.pop(own, None)
-    chosen = {}
     for name, value in settings.items():
         if name not in known:
             raise InputError(f"{kind} has no setting {name!r}: choose {', '.join([*known, *others])}")
@@ -172,9 +157,8 @@ def connected_sources() -> list[Connected]:
     kinds = []
     for kind, cameras in ways.items():
         try:
-            specs = [f"{kind}:{place}" for place in cameras()]
+            specs, note = [f"{kind}:{place}" for place in cameras()], "none connected"
         except MissingDependencyError as missing:
-            kinds.append(Connected(kind, [], str(missing)))
-        else:
-            kinds.append(Connected(kind, specs, "" if specs else "none connected"))
+            specs, note = [], str(missing)
+        kinds.append(Connected(kind, specs, "" if specs else note))
     return kinds

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from chromaperture.capture.bayer import PATTERNS, superpixels
-from chromaperture.capture.source import Frame
+from chromaperture.capture.source import Frame, needed
 from chromaperture.capture.threaded_source import DeviceLostError, not_there
-from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import InputError
 
 _WAIT_S = 2.0  # for a frame; the longest exposures of a moving camera are far shorter. Chosen by hand
 # Frames after which automatic exposure has settled and controls that were set are in force; the manual's examples
@@ -32,52 +32,30 @@ _CLOCK_SLACK_S = 5.0  # between a sensor's time stamp and now, beyond which it i
 
 
 def load_picamera2() -> Any:
-    """Import picamera2; raises MissingDependencyError with what to install."""
-    try:
-        from picamera2 import Picamera2
-    except (ImportError, OSError):  # libcamera's library may be missing
-        raise MissingDependencyError(
-            "cameras of a Raspberry Pi need picamera2: sudo apt install python3-picamera2, in an environment made with "
-            "python3 -m venv --system-site-packages"
-        ) from None
-    return Picamera2
+    """Import picamera2; raises MissingDependencyError."""
+    hint = (
+        "cameras of a Raspberry Pi need picamera2: sudo apt install python3-picamera2, in an environment made with "
+        "python3 -m venv --system-site-packages"
+    )
+    return needed("picamera2", hint).Picamera2
 
 
 class PiCamera:
-    """An opened camera, running; one frame at a time by `read`.
-
-    Parameters
-    ----------
-    number : str
-        Of the camera, as ``rpicam-hello --list-cameras`` counts; empty for 0.
-    width, height : int, optional
-        A mode of the sensor; default the fastest that sees the whole field with the most bits.
-    exposure_us, gain : float, optional
-        Without them the automatic exposure runs until it has settled, and what it found is kept.
-    fps : float, optional
-    lens_position : float, optional
-        Of a lens that focuses by a motor, in 1/m; without it, such a lens stays where it is. A calibration is for one.
-    pattern : str, optional
-        Order of the colours, such as BGGR, instead of what the driver says.
-    red_card : int
-        1: the first frame shows a red card; opening fails unless the order of the colours makes it red.
-    black_level, white_level : float, optional
-        Counts of the mosaic; default what the driver says, and the largest count.
-    """
+    """An opened camera, running; one frame at a time by `read`."""
 
     def __init__(
         self,
-        number: str = "0",
+        number: str = "0",  # as ``rpicam-hello --list-cameras`` counts
         *,
-        width: int | None = None,
+        width: int | None = None,  # of a mode of the sensor; default the fastest that sees the whole field, most bits
         height: int | None = None,
-        exposure_us: float | None = None,
+        exposure_us: float | None = None,  # without it automatic exposure runs until it has settled, and is kept
         gain: float | None = None,
         fps: float | None = None,
-        lens_position: float | None = None,
-        pattern: str | None = None,
-        red_card: int = 0,
-        black_level: float | None = None,
+        lens_position: float | None = None,  # of a lens with a motor, 1/m; a calibration is for one, where it stays
+        pattern: str | None = None,  # order of the colours, such as BGGR, instead of what the driver says
+        red_card: int = 0,  # 1: the first frame shows a red card; opening fails unless the order makes it red
+        black_level: float | None = None,  # counts of the mosaic; default what the driver says, and the highest count
         white_level: float | None = None,
     ) -> None:
         if pattern is not None and pattern.upper() not in PATTERNS:
@@ -205,25 +183,9 @@ class PiCamera:
 
 
 def chosen_mode(modes: list[dict[str, Any]], width: int | None, height: int | None) -> dict[str, Any]:
-    """Choose a mode of the sensor.
+    """Choose of the modes that fit: the largest field of view, then the most bits, then the fastest.
 
-    Parameters
-    ----------
-    modes : list of dict
-        picamera2's ``sensor_modes``: ``size``, ``bit_depth``, ``fps``, ``crop_limits`` (x, y, width, height) and
-        ``unpacked``.
-    width, height : int, optional
-        Of the mosaic, px; a mode must have those that are given.
-
-    Returns
-    -------
-    dict
-        Of the modes that fit: the largest field of view, then the most bits, then the fastest.
-
-    Raises
-    ------
-    InputError
-        No mode fits.
+    Modes are picamera2's ``sensor_modes``; raises InputError where none has the width and height that are given.
     """
     fitting = [m for m in modes if width in (None, m["size"][0]) and height in (None, m["size"][1])]
     if not fitting:
@@ -233,23 +195,10 @@ def chosen_mode(modes: list[dict[str, Any]], width: int | None, height: int | No
 
 
 def mosaic_of(data: np.ndarray, size: tuple[int, int], word_bits: int, bits: int) -> np.ndarray:
-    """Return the counts of a raw array of picamera2; (H, W) uint16.
+    """Return the counts of a raw array of picamera2, whose rows may be longer than the picture; (H, W) uint16.
 
-    Parameters
-    ----------
-    data : (H, bytes of a row) uint8, or (H, W) uint16
-        Rows may be longer than the picture.
-    size : (int, int)
-        Width and height, px.
-    word_bits : int
-        Of the format's name: 16 where the sensor's ``bits`` stand at the upper end of a word, as on a Raspberry Pi 5.
-    bits : int
-        Of the sensor.
-
-    Raises
-    ------
-    InputError
-        The array is smaller than the picture: packed, or compressed.
+    ``word_bits`` are those of the format's name: 16 where the sensor's ``bits`` stand at the upper end of a word, as on
+    a Raspberry Pi 5. Raises InputError where the array is smaller than the picture: packed, or compressed.
     """
     wide = data if word_bits == 8 or data.dtype != np.uint8 else np.ascontiguousarray(data).view("<u2")
     if wide.ndim != 2 or wide.shape[0] < size[1] or wide.shape[1] < size[0]:
@@ -263,15 +212,7 @@ def mosaic_of(data: np.ndarray, size: tuple[int, int], word_bits: int, bits: int
 def order_of_red_card(mosaic: np.ndarray, *, black_level: float) -> str:
     """Return the order in which a red card in the middle of the frame is red, such as "BGGR".
 
-    Parameters
-    ----------
-    mosaic : (H, W) uint16
-    black_level : float
-
-    Raises
-    ------
-    InputError
-        What is in the middle is not red, too dark or saturated.
+    Raises InputError where what is there is not red, too dark or saturated.
     """
     height, width = (n // 4 * 2 for n in mosaic.shape)  # half of each side, in whole cells
     top, left = ((n - m) // 4 * 2 for n, m in zip(mosaic.shape, (height, width), strict=True))

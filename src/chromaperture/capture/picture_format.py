@@ -17,51 +17,25 @@ _FACTORS = {(1, 1): "4:4:4", (2, 1): "4:2:2", (2, 2): "4:2:0", (4, 1): "4:1:1", 
 LUMA_WEIGHTS = {1: (0.2126, 0.0722), 2: (0.299, 0.114), 4: (0.30, 0.11), 5: (0.299, 0.114), 6: (0.299, 0.114),
                 7: (0.212, 0.087), 9: (0.2627, 0.0593)}  # fmt: skip
 LUMA_WEIGHTS[0] = LUMA_WEIGHTS[2]  # what encoders write that do not know it
-SENSOR_LIGHT = ColorSpace("", None, Transfer("linear"))  # of RAW files: light in the sensor's own colours
+_SENSOR_LIGHT = ColorSpace("", None, Transfer("linear"))  # of RAW files: light in the sensor's own colours
 FORM = "photograph_format"  # in results, metadata of frames, and the provenance of camera files
 
 
 @dataclass(frozen=True)
 class PictureFormat:
-    """What a colour file is.
+    """What a colour file is."""
 
-    Attributes
-    ----------
-    kind : str
-        Of file or codec: JPEG, PNG, HEIC, h264, RAW ...
-    size_px : (int, int)
-        Width and height as stored; an orientation is never applied.
-    bits : int
-        Of a sample.
-    chroma_factors : (int, int)
-        Columns and rows of luma, or of the mosaic, to one colour: (1, 1) has every colour in every pixel.
-    siting : {"centre", "left", "top-left"}
-        Place of the chroma samples; see `native_planes`.
-    luma_weights : (float, float), optional
-        Of R and B in luma; None where R, G and B are stored.
-    full_range : bool
-        Luma from 0 to the highest count; False: from 16 to 235 of 255.
-    space : ColorSpace
-        Transfer and primaries as tagged; None in it where the file says nothing.
-    mosaic : str, optional
-        Of a grey file: colours of the sensor's cells.
-    turn_degrees : int
-        Clockwise, until the picture stands upright.
-    known_from : Mapping
-        Names of the facts above to "tag", "default" or "option".
-    """
-
-    kind: str
-    size_px: tuple[int, int]
-    bits: int
-    chroma_factors: tuple[int, int] = (1, 1)
-    siting: Siting = "centre"
-    luma_weights: tuple[float, float] | None = None
-    full_range: bool = True
-    space: ColorSpace = UNTAGGED
-    mosaic: str | None = None
-    turn_degrees: int = 0
-    known_from: Mapping[str, KnownFrom] = field(default_factory=dict)
+    kind: str  # of file or codec: JPEG, PNG, HEIC, h264, RAW ...
+    size_px: tuple[int, int]  # width and height as stored; an orientation is never applied
+    bits: int  # of a sample
+    chroma_factors: tuple[int, int] = (1, 1)  # columns and rows of luma, or of the mosaic, to one colour
+    siting: Siting = "centre"  # place of the chroma samples; see `native_planes`
+    luma_weights: tuple[float, float] | None = None  # of R and B in luma; None where R, G and B are stored
+    full_range: bool = True  # luma from 0 to the highest count; False: from 16 to 235 of 255
+    space: ColorSpace = UNTAGGED  # transfer and primaries as tagged; None in it where the file says nothing
+    mosaic: str | None = None  # of a grey file: colours of the sensor's cells
+    turn_degrees: int = 0  # clockwise, until the picture stands upright
+    known_from: Mapping[str, KnownFrom] = field(default_factory=dict)  # by the name of the fact; see `with_stated`
 
     @property
     def chroma(self) -> str:
@@ -88,11 +62,18 @@ class PictureFormat:
         return (self.bits == 8 or self.luma_weights is not None) if transfer is None else transfer.name != "linear"
 
     def with_stated(self, stated: StatedFacts) -> PictureFormat:
-        """Return the same with what a person says in place of the tag."""
-        if stated.primaries is None or self.mosaic is not None:
+        """Return the same with what a person says in place of tag or default, and where facts are known from."""
+        if self.mosaic is not None:
             return self
-        space = ColorSpace("sRGB primaries, as stated", None, self.space.transfer)
-        return replace(self, space=space, known_from={**self.known_from, "primaries": "option"})
+        space, siting = self.space, stated.siting or self.siting
+        facts = {"transfer": space.transfer, "primaries": space.primaries}
+        known: dict[str, KnownFrom] = {name: "default" if fact is None else "tag" for name, fact in facts.items()}
+        if self.luma_weights is not None:
+            known["siting"] = "default" if stated.siting is None else "option"
+        if stated.primaries is not None:
+            space = ColorSpace("sRGB primaries, as stated", None, space.transfer)
+            known["primaries"] = "option"
+        return replace(self, siting=siting, space=space, known_from={**known, **self.known_from})
 
     def encoding(self, white: float) -> Encoding:
         """Return how counts up to ``white`` become linear light with the primaries of sRGB; levels are not given."""
@@ -133,10 +114,15 @@ class PictureFormat:
         return {name: value for name, value in facts.items() if value is not None}
 
 
-def known_from_tags(space: ColorSpace) -> dict[str, KnownFrom]:
-    """Return where the facts of a colour space are known from."""
-    facts = {"transfer": space.transfer, "primaries": space.primaries}
-    return {name: "default" if fact is None else "tag" for name, fact in facts.items()}
+def mosaic_format(
+    kind: str, size_px: tuple[int, int], bits: int, mosaic: str, *, known_from: KnownFrom, turn_degrees: int = 0
+) -> PictureFormat:
+    """Return the format of a file that is a mosaic; an odd last row or column has no whole cell."""
+    size_px = size_px[0] // 2 * 2, size_px[1] // 2 * 2
+    return PictureFormat(
+        kind, size_px, bits, (2, 2), space=_SENSOR_LIGHT, mosaic=mosaic, turn_degrees=turn_degrees,
+        known_from={"mosaic": known_from},
+    )  # fmt: skip
 
 
 def reduced_sides(size_px: tuple[int, int], factor: int) -> tuple[int, int]:

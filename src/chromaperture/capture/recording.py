@@ -13,22 +13,23 @@ import errno
 import io
 import json
 import os
+import re
 import zlib
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 import tifffile
+from pydantic import Field
 
-from chromaperture.capture.recording_index import EncodingEntry, Entry, entry_of, line_of
-from chromaperture.capture.source import Event, FileSource, Frame, Listener, choose_encoding
+from chromaperture.capture.source import Frame, PictureSource
 from chromaperture.capture.tiff import decode_tiff
-from chromaperture.color.encoding import Encoding, format_encoding
+from chromaperture.color.color_space import TRANSFERS
+from chromaperture.color.encoding import Encoding, choose_encoding, format_encoding
 from chromaperture.system.errors import InputError
-from chromaperture.system.validation import quoted, read_bytes
+from chromaperture.system.validation import Finite, Table, checked, quoted, read_bytes
 
 _FORMATS = [f"chromaperture recording {number}" for number in (1, 2, 3)]
 _FORMAT, _FIRST_FORMAT = _FORMATS[-1], _FORMATS[0]
@@ -36,26 +37,43 @@ _MOST_HEADER_BYTES, _MOST_INDEX_BYTES = 10_000, 2_000_000_000  # of the index: t
 _MOST_PICTURE_BYTES = 2_000_000_000  # of a frame: 160 megapixels of float32
 _INDEX, HEADER = "index.jsonl", "recording.json"
 
+_LINE = re.compile(rb'(\{.*), "line_crc32": "([0-9a-f]{8})"\}')  # the checksum is that of the bytes before it
+_LONGEST = 1_000_000  # bytes of a line; metadata of cameras have some 100
+_Pair = tuple[Finite, Finite]
+
+
+class EncodingEntry(Table):
+    """See `Encoding`; levels that nobody gave are null."""
+
+    black_level: Finite | None
+    white_level: Finite | None
+    curve: Literal[TRANSFERS]  # type: ignore[valid-type]
+    channel_offsets_px: tuple[_Pair, _Pair, _Pair]
+    given: bool = True  # the first format has none
+    curve_parameters: Annotated[tuple[Finite, ...], Field(max_length=65536)] = ()
+    to_srgb: Annotated[tuple[Finite, ...], Field(min_length=9, max_length=9)] | None = None
+
+
+class Entry(Table):
+    """One frame: the name of its picture and what the picture does not hold."""
+
+    file: Annotated[str, Field(pattern=r"\A[0-9]{8,12}\.tiff\z")]  # as `Recorder` names them; no path leads out
+    index: Annotated[int, Field(ge=0, lt=2**63)]
+    time_s: Finite
+    crc32: Annotated[int, Field(ge=0, lt=2**32)]
+    encoding: EncodingEntry
+    metadata: dict[str, Any]
+
 
 class Recorder:
-    """Write frames; a context manager.
+    """Write frames into a folder that holds no recording, and is made when absent; a context manager.
 
-    Parameters
-    ----------
-    folder : str or Path
-        Created when absent; must not hold a recording.
-    source : str
-        Name of the source, for the record.
-
-    Raises
-    ------
-    InputError
-        From entering: the folder holds a recording or cannot be written. From `write`: the disk is full.
+    Entering raises InputError where the folder cannot be used, `write` where the disk is full.
     """
 
     def __init__(self, folder: str | Path, *, source: str = "") -> None:
         self.folder, self.count = Path(folder), 0
-        self._source, self._index, self._is_new = source, -1, False
+        self._source, self._is_new, self._end = source, False, 0  # of the index, bytes
 
     def __enter__(self) -> Self:
         if (self.folder / HEADER).exists() or (self.folder / _INDEX).exists():
@@ -65,21 +83,16 @@ class Recorder:
             (self.folder / "frames").mkdir(parents=True, exist_ok=True)
             header = json.dumps({"format": _FORMAT, "source": self._source}) + "\n"
             _write_durably(self.folder / HEADER, header.encode())
-            self._index = os.open(self.folder / _INDEX, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+            _write_durably(self.folder / _INDEX, b"")
             _sync_folder(self.folder)
         except BaseException as error:
-            self.__exit__(type(error), error, None)
+            self.__exit__(type(error))
             if isinstance(error, OSError):
                 raise self._failure(error) from None
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._index >= 0:
-            os.close(self._index)
-        self._index = -1
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is not None and not self.count:  # nothing was recorded: the same folder can be given again
             with contextlib.suppress(OSError):
                 for path in (self.folder / _INDEX, self.folder / HEADER, *(self.folder / "frames").iterdir()):
@@ -100,18 +113,17 @@ class Recorder:
             "encoding": _recorded(frame.encoding, frame.counts.dtype),
             "metadata": dict(frame.metadata),
         }
-        line = line_of(entry)
-        end = os.fstat(self._index).st_size
+        line = _line_of(entry)
         try:
             _write_durably(path, _tiff(frame.counts))
             _sync_folder(path.parent)
-            _write_all(self._index, line)
-            os.fsync(self._index)
+            _write_durably(self.folder / _INDEX, line, os.O_APPEND)
         except OSError as error:
-            os.ftruncate(self._index, end)
+            with contextlib.suppress(OSError):
+                os.truncate(self.folder / _INDEX, self._end)
             path.unlink(missing_ok=True)
             raise self._failure(error) from None
-        self.count += 1
+        self.count, self._end = self.count + 1, self._end + len(line)
 
     def _failure(self, error: OSError) -> InputError:
         if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
@@ -121,33 +133,14 @@ class Recorder:
         return InputError(f"cannot write to {self.folder} ({error.strerror}); {self.count} frames are safe there")
 
 
-class ReplaySource(FileSource):
-    """Frames of a recording, with times and counts as recorded.
+@dataclass(kw_only=True, eq=False)
+class ReplaySource(PictureSource):
+    """Frames of a recording, with times, counts and levels as recorded, unless others are given."""
 
-    Parameters
-    ----------
-    folder : str
-    black_level, white_level : float, optional
-        Instead of the recorded ones.
-    camera_encoding : Encoding, optional
-        Of the camera file, for levels that nobody gave; see `choose_encoding`.
-    listener : callable, optional
-    """
+    kind = "replay"
 
-    def __init__(
-        self,
-        folder: str,
-        *,
-        black_level: float | None = None,
-        white_level: float | None = None,
-        camera_encoding: Encoding | None = None,
-        listener: Listener | None = None,
-    ) -> None:
-        super().__init__(f"replay:{folder}", listener=listener)
-        self.folder = Path(folder)
-        self.levels, self.camera_encoding = {"black_level": black_level, "white_level": white_level}, camera_encoding
-        self.entries: list[Entry] = []
-        self._is_first_format = False
+    def __post_init__(self) -> None:
+        self.folder, self.entries, self._is_first_format = Path(self.place), list[Entry](), False
 
     def open(self) -> None:
         """Read the index; report and leave out damaged lines."""
@@ -164,10 +157,10 @@ class ReplaySource(FileSource):
         self.entries = []
         for number, line in enumerate(data.split(b"\n")[:-1], start=1):  # the rest was never acknowledged
             try:
-                self.entries.append(entry_of(line, has_checksum=kind == _FORMAT))
+                self.entries.append(_entry_of(line, has_checksum=kind == _FORMAT))
             except InputError as error:
                 where = f"line {number} of {quoted(self.folder / _INDEX)}"
-                self.listener(Event("skipped", f"{where} is damaged, its frame is left out: {error}"))
+                self.report("skipped", f"{where} is damaged, its frame is left out: {error}")
         if not self.entries:
             raise InputError(f"the recording at {quoted(self.folder)} holds no frame that can be read")
 
@@ -179,7 +172,7 @@ class ReplaySource(FileSource):
                 counts = self._counts(path, entry)
                 encoding = self._encoding(entry.encoding, counts)
             except InputError as error:
-                self.listener(Event("skipped", f"{quoted(path)} is left out: {error}"))
+                self.report("skipped", f"{quoted(path)} is left out: {error}")
                 continue
             yield Frame(counts, encoding, entry.time_s, entry.index, entry.metadata)
 
@@ -202,8 +195,30 @@ class ReplaySource(FileSource):
             own = Encoding(**dict(recorded))
             if self._is_first_format and counts.dtype == np.uint16 and own == Encoding():
                 own = format_encoding(counts.dtype)
-        camera_encoding = None if own.given else self.camera_encoding
-        return choose_encoding(own, counts, **self.levels, camera_encoding=camera_encoding)
+        camera = None if own.given else self.camera_encoding
+        return choose_encoding(own, counts, **self.levels | {"camera_encoding": camera})
+
+
+def _line_of(entry: dict[str, Any]) -> bytes:
+    """Return the line of a frame, its checksum and the newline included."""
+    body = json.dumps(entry, default=str).removesuffix("}").encode()
+    return body + b', "line_crc32": "%08x"}\n' % zlib.crc32(body)
+
+
+def _entry_of(line: bytes, *, has_checksum: bool) -> Entry:
+    """Read a line without its newline, those of the first two formats without a checksum; raises InputError."""
+    if has_checksum:
+        found = _LINE.fullmatch(line)
+        if found is None or zlib.crc32(found[1]) != int(found[2], 16):
+            raise InputError("its checksum is not that of its text")
+        line = found[1] + b"}"
+    try:
+        tree = json.loads(line) if len(line) <= _LONGEST else None
+    except (ValueError, RecursionError):
+        raise InputError("it is not JSON") from None
+    metadata = tree.get("metadata") if isinstance(tree, dict) else None
+    entry = checked(Entry, tree, where="a line of the index")
+    return entry.model_copy(update={"metadata": metadata})  # lists stay lists
 
 
 def _recorded(encoding: Encoding, dtype: np.dtype[Any]) -> dict[str, Any]:
@@ -221,19 +236,15 @@ def _tiff(counts: np.ndarray) -> bytes:
     return memory.getvalue()
 
 
-def _write_durably(path: Path, data: bytes) -> None:
-    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+def _write_durably(path: Path, data: bytes, how: int = os.O_TRUNC) -> None:
+    file = os.open(path, os.O_WRONLY | os.O_CREAT | how, 0o644)
     try:
-        _write_all(file, data)
+        view = memoryview(data)
+        while view:  # a nearly full disk writes a part
+            view = view[os.write(file, view) :]
         os.fsync(file)
     finally:
         os.close(file)
-
-
-def _write_all(file: int, data: bytes) -> None:
-    view = memoryview(data)
-    while view:  # a nearly full disk writes a part
-        view = view[os.write(file, view) :]
 
 
 def _sync_folder(folder: Path) -> None:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from chromaperture.capture.folder import natural
-from chromaperture.capture.source import FileSource, Frame, Listener, checked_fps
+from chromaperture.capture.source import FileSource, Frame, checked_fps
 from chromaperture.color.encoding import Encoding
 from chromaperture.optics.aperture import Aperture, made_of
 from chromaperture.optics.pinhole import PupilCamera
@@ -19,71 +17,45 @@ from chromaperture.optics.printing.aperture_file import load_aperture
 from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.simulator.layer_renderer import render_layers
 from chromaperture.optics.simulator.render import render
-from chromaperture.optics.simulator.rgbd import read_rgbd
+from chromaperture.optics.simulator.rgbd import read_rgbd, rgbd_pairs
 from chromaperture.optics.simulator.scene import load_scene
 from chromaperture.optics.simulator.sensor import SensorModel, expose
 from chromaperture.system.errors import InputError
 
-_KINECT = 585 / 640  # focal length over width, of a Kinect; the default
+_KINECT = 585 / 640  # focal length over width, of a Kinect
 _PITCH_MM = 0.02  # has no effect on the picture: geometry is in px
 _TURN = 48  # frames per turn of the path through a scene; chosen by hand, not tuned
 
 
+@dataclass(kw_only=True, eq=False)
 class SimulatedSource(FileSource):
     """Frames of the simulator, 10-bit counts with photon and read noise, reproducible by seed.
 
-    Parameters
-    ----------
-    path : str
-        Folder of NAME.color.* with NAME.depth.png (and NAME.pose.txt), a folder with rgb/ and depth/, or a scene
-        file (.toml), through which the camera moves in a circle square to its axis.
-    focal_px : float, optional
-        fx; default 585/640 of the width.
-    design, film : str
-        Aperture and its film, as for ``chromaperture simulate``.
-    pupil_radius_mm, focus_mm, sensor_to_pupil_mm, depth_unit_mm, exposure : float
-    orbit_mm : float
-        Radius of the circle through a scene.
-    width, height : int
-        Picture size for a scene file.
-    cells : int
-        Rays across the pupil, even, for a scene file; fewer make blur coarser.
-    count : int, optional
-        Number of frames; default the sequence, or one turn.
-    fps : float
-        For the times of the frames.
-    seed : int
-    listener : callable, optional
+    The place is a folder of NAME.color.* with NAME.depth.png (and NAME.pose.txt), a folder with rgb/ and depth/, or a
+    scene file (.toml), through which the camera moves in a circle square to its axis.
     """
 
-    def __init__(
-        self,
-        path: str,
-        *,
-        focal_px: float | None = None,
-        design: str = "cy_halves",
-        film: str = "real",
-        pupil_radius_mm: float = 12.5,
-        focus_mm: float = 2000.0,
-        sensor_to_pupil_mm: float = 50.0,
-        depth_unit_mm: float = 1.0,
-        exposure: float = 0.9,
-        orbit_mm: float = 100.0,
-        width: int = 640,
-        height: int = 480,
-        cells: int = 8,
-        count: int | None = None,
-        fps: float = 30.0,
-        seed: int = 0,
-        listener: Listener | None = None,
-    ) -> None:
-        super().__init__(f"simulate:{path}", listener=listener)
-        self.path, self.focal_px, self.design, self.film = Path(path), focal_px, design, film
-        self.optics_mm = (pupil_radius_mm, focus_mm, sensor_to_pupil_mm)
-        self.depth_unit_mm, self.exposure, self.orbit_mm = depth_unit_mm, exposure, orbit_mm
-        self.size, self.cells, self.count, self.fps, self.seed = (width, height), cells, count, checked_fps(fps), seed
-        self.sensor = SensorModel()
-        self.pairs: list[tuple[Path, Path]] = []
+    kind = "simulate"
+
+    focal_px: float | None = None  # default `_KINECT` of the width
+    design: str = "cy_halves"  # aperture and its film, as for `chromaperture simulate`
+    film: str = "real"
+    pupil_radius_mm: float = 12.5
+    focus_mm: float = 2000.0
+    sensor_to_pupil_mm: float = 50.0
+    depth_unit_mm: float = 1.0
+    exposure: float = 0.9
+    orbit_mm: float = 100.0  # radius of the circle through a scene
+    width: int = 640  # of pictures of a scene
+    height: int = 480
+    cells: int = 8  # rays across the pupil, even, for a scene; fewer make blur coarser
+    count: int | None = None  # of frames; default the sequence, or one turn
+    fps: float = 30.0  # for the times of the frames
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        checked_fps(self.fps)
+        self.path, self.sensor, self.pairs = Path(self.place), SensorModel(), list[tuple[Path, Path]]()
 
     def open(self) -> None:
         """Find the pictures; check design and scene."""
@@ -102,7 +74,7 @@ class SimulatedSource(FileSource):
     def _through_pictures(self) -> Iterator[Frame]:
         for index, (color, depth) in enumerate(self.pairs):
             picture, depth_mm = read_rgbd(
-                color, depth, depth_unit_mm=self.depth_unit_mm, sensor_to_pupil_mm=self.optics_mm[2]
+                color, depth, depth_unit_mm=self.depth_unit_mm, sensor_to_pupil_mm=self.sensor_to_pupil_mm
             )
             camera = self._camera(depth_mm.shape[1], depth_mm.shape[0])
             light = render_layers(picture, depth_mm, camera=camera, aperture=self._aperture()).image
@@ -113,7 +85,7 @@ class SimulatedSource(FileSource):
             yield self._frame(light, index, found)
 
     def _through_scene(self) -> Iterator[Frame]:
-        planes, camera = load_scene(self.path), self._camera(*self.size)
+        planes, camera = load_scene(self.path), self._camera(self.width, self.height)
         rays = pinhole_rays(camera, self._aperture(), cells=self.cells)
         for index in range(_TURN if self.count is None else self.count):
             angle = 2 * math.pi * index / _TURN
@@ -130,25 +102,9 @@ class SimulatedSource(FileSource):
         return Frame(counts, encoding, index / self.fps, index, metadata)
 
     def _camera(self, width: int, height: int) -> PupilCamera:
-        return PupilCamera(width, height, self.focal_px or _KINECT * width, *self.optics_mm, _PITCH_MM)
+        optics_mm = self.pupil_radius_mm, self.focus_mm, self.sensor_to_pupil_mm
+        return PupilCamera(width, height, self.focal_px or _KINECT * width, *optics_mm, _PITCH_MM)
 
     def _aperture(self) -> Aperture:
         design = load_aperture(self.design)
         return design if self.design.lower().endswith((".toml", ".svg")) else made_of(design, self.film)
-
-
-def rgbd_pairs(folder: Path) -> list[tuple[Path, Path]]:
-    """Find colour pictures and their depth: NAME.color.* with NAME.depth.png, or rgb/ and depth/ in equal order."""
-    if not os.path.isdir(folder):
-        raise InputError(f"no RGB-D sequence or scene file at {folder}")
-    if (folder / "rgb").is_dir() and (folder / "depth").is_dir():
-        colors, depths = (sorted((folder / part).iterdir(), key=natural) for part in ("rgb", "depth"))
-        if len(colors) != len(depths):
-            raise InputError(f"{folder} holds {len(colors)} pictures in rgb/ and {len(depths)} in depth/")
-        pairs = list(zip(colors, depths, strict=True))
-    else:
-        found = ((p, folder / f"{p.name.split('.color.')[0]}.depth.png") for p in folder.glob("*.color.*"))
-        pairs = sorted(((c, d) for c, d in found if d.is_file()), key=lambda pair: natural(pair[0]))
-    if not pairs:
-        raise InputError(f"{folder} holds no NAME.color.* with NAME.depth.png, nor rgb/ and depth/")
-    return pairs

@@ -1,17 +1,21 @@
-"""Live cameras: a thread reads frames, only the newest is kept, and a lost camera is reconnected."""
+"""Live cameras, and files played like one: a thread reads frames, only the newest is kept, lost cameras return."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections.abc import Callable, Iterator
-from types import TracebackType
+from dataclasses import replace
 from typing import Protocol, Self
 
 import numpy as np
 
-from chromaperture.capture.source import Event, Frame, Listener, log_event, steady
+from chromaperture.capture.source import Event, FileSource, Frame, Listener, log_event, steady
 from chromaperture.system.errors import ChromapertureError, InputError
+
+_KEPT_BYTES = 512 << 20  # frames of a loop that are cached: 290 of VGA in 16 bits
+_INTERVAL_S = 1 / 30  # of a loop of one picture: the frame rate that other sources assume
+_LONGEST_WAIT_S = 5.0  # a gap of the recording lasts no longer: closing waits for it. Chosen by hand, not tuned
 
 
 class DeviceLostError(Exception):
@@ -27,27 +31,16 @@ class Device(Protocol):
 
     def read(self, index: int) -> Frame | None:
         """Wait up to about a second for a frame; None when none came; raises DeviceLostError or StreamEndedError."""
-        ...
 
     def close(self) -> None:
         """Release the camera; never raises."""
-        ...
 
 
 class LiveSource:
     """Deliver the newest frame of a running camera; older ones are dropped, so a slow reader adds no latency.
 
-    Parameters
-    ----------
-    name : str
-    connect : callable
-        Opens the device; raises InputError when it is missing or in use.
-    listener : callable, optional
-        Called with events, from the capture thread.
-    silence_s : float
-        Time without a frame after which a camera is considered lost.
-    retry_s : float
-        Pause between attempts to reconnect it.
+    ``connect`` opens the device and raises InputError when it is missing or in use. ``listener`` is called with events
+    from the capture thread. A camera is lost after ``silence_s`` without a frame, and looked for every ``retry_s``.
     """
 
     live = True
@@ -83,9 +76,7 @@ class LiveSource:
             raise self._failure
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.stop()
         if self._thread is not None:
             self._thread.join(timeout=10)  # s: do not wait for a driver that hangs
@@ -161,6 +152,61 @@ class LiveSource:
             self.dropped += self._slot is not None
             self._slot = frame
             self._ready.notify()
+
+
+class Playback:
+    """A device that plays a file source; speed 1 is the recorded one, inf as fast as frames can be read."""
+
+    def __init__(self, source: FileSource, *, speed: float, loop: bool) -> None:
+        self._source, self._speed, self._loop = source, speed, loop
+        source.__enter__()
+        self._frames: Iterator[Frame] = source.frames()
+        self._kept: list[Frame] = []
+        self._keeping = loop  # in the first round, while there is room
+        self._due = time.monotonic()  # when the last frame was to be delivered
+        self._is_first = True
+        self._last_s, self._interval_s, self._rest_s = 0.0, _INTERVAL_S, 0.0  # the last frame of a round lasts too
+
+    def read(self, index: int) -> Frame | None:
+        """Wait for the next frame's time."""
+        frame = self._next()
+        step_s = frame.time_s - self._last_s
+        if self._is_first:
+            self._is_first, self._due, step_s = False, time.monotonic(), self._rest_s
+        elif step_s > 0:
+            self._interval_s = min(step_s, _LONGEST_WAIT_S)
+        self._last_s = frame.time_s
+        # Step by step: a clock that was set during the recording, by a day or back, must not delay all that follows.
+        self._due += min(max(step_s / self._speed, 0.0), _LONGEST_WAIT_S)
+        time.sleep(max(0.0, self._due - time.monotonic()))
+        return replace(frame, index=index, time_s=time.time())
+
+    def _next(self) -> Frame:
+        for _ in range(2):
+            if (frame := next(self._frames, None)) is not None:
+                if self._keeping:
+                    self._kept.append(frame)
+                    if len(self._kept) * frame.counts.nbytes > _KEPT_BYTES:
+                        self._kept, self._keeping = [], False
+                return frame
+            if not self._loop:
+                break
+            self._frames, self._keeping, self._is_first = iter(self._kept or self._source.frames()), False, True
+            self._rest_s = self._interval_s
+        raise StreamEndedError
+
+    def close(self) -> None:
+        """Close the files."""
+        self._source.close()
+
+
+def played(
+    source: FileSource, *, speed: float = 1.0, loop: bool = False, listener: Listener | None = None
+) -> LiveSource:
+    """Make a live source of files: frames arrive at their times, whether they are read or not; the newest wins."""
+    if not speed > 0:
+        raise InputError(f"the speed of playback must be positive, got {speed:g}")
+    return LiveSource(source.name, lambda: Playback(source, speed=speed, loop=loop), listener=listener)
 
 
 def is_picture(counts: np.ndarray) -> bool:

@@ -8,33 +8,37 @@ import logging
 import math
 import warnings
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 import tifffile
 
+from chromaperture.capture.picture_format import PictureFormat, mosaic_format
+from chromaperture.color.color_space import UNTAGGED
+from chromaperture.color.color_tags import of_icc
+from chromaperture.color.encoding import Pattern
 from chromaperture.system.errors import CaptureWarning, InputError
 from chromaperture.system.validation import MOST_PIXELS
 
 # An error is one line of ours: without a handler, Python prints what libraries log.
 logging.getLogger("tifffile").addHandler(logging.NullHandler())
 _ICC_PROFILE, _ORIENTATION = 34675, 274  # tags
+TURNS = {3: 180, 6: 90, 8: 270}  # codes of an orientation, degrees clockwise; others are mirrored, or upright
 _MOST_SAMPLES = 4  # of a pixel: R, G, B and alpha
 _DEFLATE = {tifffile.COMPRESSION.ADOBE_DEFLATE, tifffile.COMPRESSION.DEFLATE}
 _COMPRESSIONS = _DEFLATE | {tifffile.COMPRESSION.NONE, tifffile.COMPRESSION.LZW, tifffile.COMPRESSION.PACKBITS}
-_MOST_PAGES = 8  # that are looked at: finding all pages of a hostile file can take minutes
+# That are looked at for their pixels, and for their tags: finding all pages of a hostile file can take minutes.
+_MOST_PAGES, _MOST_PICTURES = 8, 32
 _REDUCED, _MASK = 1, 4  # bits of NewSubfileType: a preview, a transparency mask
 _COLOURS = {3: "palette", 5: "CMYK", 6: "YCbCr", 8: "L*a*b*", 9: "L*a*b*", 10: "L*a*b*", 32844: "LogL", 32845: "LogLuv"}
+Found = TypeVar("Found")
 _PIECE_BYTES = 1_000_000  # unpacked at a time where only the size is wanted
 
 
-def no_check(width: int, height: int) -> None:
-    """Accept every size."""
-
-
-def decode_tiff(data: bytes, name: str, *, check: Callable[[int, int], None] = no_check) -> np.ndarray:
+def decode_tiff(data: bytes, name: str, *, check: Callable[[int, int], None] | None = None) -> np.ndarray:
     """Decode the largest picture among the first pages of a file, as stored, (H, W) or (H, W, S).
 
     ``check`` is called with width and height before anything is unpacked. Raises InputError where the file is damaged,
@@ -42,7 +46,8 @@ def decode_tiff(data: bytes, name: str, *, check: Callable[[int, int], None] = n
     """
     with _opened(data, name) as (page, others):
         _check_page(page, name)
-        check(page.imagewidth, page.imagelength)
+        if check is not None:
+            check(page.imagewidth, page.imagelength)
         _check_segments(page, data)
         counts = np.asarray(page.asarray(maxworkers=1))
         if page.planarconfig == tifffile.PLANARCONFIG.SEPARATE and counts.ndim == 3:
@@ -71,25 +76,35 @@ def _opened(data: bytes, name: str) -> Iterator[tuple[tifffile.TiffPage, bool]]:
         ) from None
 
 
-class TiffHeader(NamedTuple):
-    """What the picture of a TIFF file is; ``profile``: its ICC profile; ``orientation``: EXIF's code."""
-
-    size_px: tuple[int, int]
-    bits: int
-    samples: int
-    profile: bytes | None
-    orientation: int
-
-
-def tiff_header(data: bytes, name: str) -> TiffHeader:
-    """Return what the picture of a file is; raises InputError like `decode_tiff`."""
+def tiff_format(data: bytes, name: str, mosaic: Pattern | None) -> PictureFormat:
+    """Return what the picture of a file is; raises InputError like `decode_tiff`, and for colours that are not read."""
     with _opened(data, name) as (page, _):
         _check_page(page, name)
+        size, bits = (int(page.imagewidth), int(page.imagelength)), 8 * np.dtype(page.dtype).itemsize
         profile, orientation = (page.tags.get(code) for code in (_ICC_PROFILE, _ORIENTATION))
-        return TiffHeader(
-            (int(page.imagewidth), int(page.imagelength)), 8 * np.dtype(page.dtype).itemsize, page.samplesperpixel,
-            None if profile is None else bytes(profile.value), 1 if orientation is None else int(orientation.value),
-        )  # fmt: skip
+        turn = 0 if orientation is None else TURNS.get(int(orientation.value), 0)
+        if profile is not None and not isinstance(profile.value, bytes):  # a number would become as many zeros
+            raise ValueError("no colour profile")
+    if mosaic is not None and page.samplesperpixel == 1:
+        return mosaic_format("TIFF", size, bits, mosaic, known_from="option")
+    space = UNTAGGED if profile is None else of_icc(profile.value)
+    return PictureFormat("TIFF", size, bits, space=space, turn_degrees=turn)
+
+
+def from_pages(path: str | Path, find: Callable[[Iterator[tifffile.TiffPage]], Found], default: Found) -> Found:
+    """Return what is found in the first pictures of a file, and those within them; the default of a damaged file."""
+    try:
+        with tifffile.TiffFile(path) as file:
+            return find(islice(_every_page(file.pages), _MOST_PICTURES))
+    except Exception:  # tifffile raises anything on a damaged file, which whoever reads its pixels reports
+        return default
+
+
+def _every_page(pages: Iterable[Any]) -> Iterator[tifffile.TiffPage]:
+    for page in pages:
+        if isinstance(page, tifffile.TiffPage):
+            yield page
+            yield from _every_page(page.pages or ())
 
 
 def _picture(file: tifffile.TiffFile) -> tuple[tifffile.TiffPage, bool]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from typing import Any, Literal
+from dataclasses import dataclass
+from typing import Literal
 
 import av
 import av.container
@@ -13,8 +14,8 @@ import av.logging
 from chromaperture.capture.checks import check_primaries
 from chromaperture.capture.decoded_frame import counts_of_frame, format_of_frame
 from chromaperture.capture.picture_format import PictureFormat, described
-from chromaperture.capture.source import Event, FileSource, Frame, Listener, checked_fps, choose_encoding
-from chromaperture.color.encoding import Encoding, Siting, StatedFacts
+from chromaperture.capture.source import Frame, PictureSource, checked_fps
+from chromaperture.color.encoding import Siting, StatedFacts, choose_encoding
 from chromaperture.system.errors import InputError
 
 _WHITELISTS = {
@@ -26,49 +27,24 @@ _MOST_MISSING_S = 0.25  # of a clip's stated length, beside the last frames: its
 _CENTRED_Y4M = (b" C420jpeg", b" C420 ", b" C420\n")  # mjpegtools' names of 4:2:0; the others lie left
 
 
-class VideoSource(FileSource):
+@dataclass(kw_only=True, eq=False)
+class VideoSource(PictureSource):
     """Frames of a clip as stored: of 4:2:0 at half the size, turned by no tag, at the times that it states.
 
-    Parameters
-    ----------
-    path : str
-    fps : float, optional
-        For the times of the frames; default the clip's own times.
-    siting : {"left", "centre", "top-left"}, optional
-        Place of subsampled chroma among luma; left when absent, as H.264, HEVC and VP9 define it without a tag.
-    primaries : {"srgb"}, optional
-        In place of those that the clip is tagged with.
-    black_level, white_level : float, optional
-        Of linear counts; without them, counts are what the clip's tags say, or sRGB.
-    camera_encoding : Encoding, optional
-        See `choose_encoding`.
-    listener : callable, optional
-
-    Attributes
-    ----------
-    form : PictureFormat or None
-        Of the last frame.
+    Without a tag or levels counts are sRGB. Chroma of which nothing is said lies left, as H.264, HEVC and VP9 define
+    it. ``form`` is that of the last frame.
     """
 
-    def __init__(
-        self,
-        path: str,
-        *,
-        fps: float | None = None,
-        siting: Siting | None = None,
-        primaries: Literal["srgb"] | None = None,
-        black_level: float | None = None,
-        white_level: float | None = None,
-        camera_encoding: Encoding | None = None,
-        listener: Listener | None = None,
-    ) -> None:
-        super().__init__(path, listener=listener)
-        self.fps = None if fps is None else checked_fps(fps)
-        self.stated = StatedFacts(siting, primaries)
-        if camera_encoding is not None:
-            self.stated = self.stated.or_else(camera_encoding.stated)
-        self.levels: dict[str, Any] = {"black_level": black_level, "white_level": white_level}
-        self.levels["camera_encoding"] = camera_encoding
+    fps: float | None = None  # in place of the clip's own times
+    siting: Siting | None = None
+    primaries: Literal["srgb"] | None = None
+
+    def __post_init__(self) -> None:
+        if self.fps is not None:
+            checked_fps(self.fps)
+        self.stated = StatedFacts(self.siting, self.primaries)
+        if self.camera_encoding is not None:
+            self.stated = self.stated.or_else(self.camera_encoding.stated)
         self.form: PictureFormat | None = None
         self._clip: av.container.InputContainer | None = None
 
@@ -104,25 +80,16 @@ class VideoSource(FileSource):
                 form = self.form = self._format(frame)
                 if form.turn_degrees and index == 0:
                     said = f"{self.name} is to be turned by {form.turn_degrees} degrees for people; "
-                    stay = "frames stay as the sensor delivers them, like the calibration"
-                    self.listener(Event("turned", said + stay))
-                if (
-                    form.kind == "mjpeg"
-                    and form.reduction > 1
-                    and form.known_from.get("siting") == "default"
-                    and not index
-                ):
+                    self.report("turned", said + "frames stay as the sensor delivers them, like the calibration")
+                is_guess = form.kind == "mjpeg" and form.reduction > 1 and form.known_from.get("siting") == "default"
+                if is_guess and index == 0:
                     left = "chroma of MJPEG is taken to lie left, as webcams write it"
-                    self.listener(Event("siting", f"{self.name}: {left}; of a still camera's clip say siting=centre"))
+                    self.report("siting", f"{self.name}: {left}; of a still camera's clip say siting=centre")
             counts, white = counts_of_frame(frame, form)
             encoding = choose_encoding(form.encoding(white), counts, **self.levels)
-            stated_s = None if frame.time is None else float(frame.time)
-            first_s = stated_s if first_s is None else first_s
-            last_s = None if stated_s is None or first_s is None else stated_s - first_s
-            if self.fps is not None or stated_s is None or first_s is None:
-                time_s = index / (self.fps or 30.0)
-            else:
-                time_s = stated_s - first_s
+            first_s = frame.time if first_s is None else first_s
+            last_s = None if frame.time is None or first_s is None else float(frame.time - first_s)
+            time_s = index / (self.fps or 30.0) if self.fps is not None or last_s is None else last_s
             found = Frame(counts, encoding, time_s, index, described(form))
             if index == 0 and encoding.to_srgb is not None:
                 check_primaries(found.image, form.space.name, self.name)
@@ -132,9 +99,9 @@ class VideoSource(FileSource):
             raise InputError(f"{self.name} holds no frame that can be decoded; record or convert it again")
         length_s = (self._clip.duration or 0) / av.time_base
         if index < promised:
-            self.listener(Event("skipped", f"{self.name} ends after {index} of {promised} frames"))
+            self.report("skipped", f"{self.name} ends after {index} of {promised} frames")
         elif last_s is not None and last_s * (index + 2) / index + _MOST_MISSING_S < length_s:
-            self.listener(Event("skipped", f"{self.name} ends after {last_s:.1f} of {length_s:.1f} s"))
+            self.report("skipped", f"{self.name} ends after {last_s:.1f} of {length_s:.1f} s")
 
     def _decoded(self) -> Iterator[av.VideoFrame]:
         """Yield the frames that can be decoded; report the others once."""
@@ -151,14 +118,12 @@ class VideoSource(FileSource):
                         said.append((av.logging.ERROR, "", str(error.strerror)))
                     if said and not is_said:
                         why = said[0][2].strip()
-                        self.listener(
-                            Event("skipped", f"{self.name} is damaged ({why}): frames are left out, or wrong")
-                        )
+                        self.report("skipped", f"{self.name} is damaged ({why}): frames are left out, or wrong")
                     is_said = is_said or bool(said)
                     said.clear()
                     yield from frames
         except av.FFmpegError as error:  # of the container
-            self.listener(Event("skipped", f"{self.name} is damaged ({error.strerror}); the rest is left out"))
+            self.report("skipped", f"{self.name} is damaged ({error.strerror}); the rest is left out")
 
     def _format(self, frame: av.VideoFrame) -> PictureFormat:
         assert self._clip is not None
@@ -170,8 +135,7 @@ class VideoSource(FileSource):
         try:
             kind = self._clip.streams.video[0].codec_context.name
             # FFmpeg counts the turn counterclockwise.
-            return format_of_frame(
-                frame, kind, siting=siting, stated=self.stated, turn_degrees=-int(frame.rotation) % 360
-            ).with_stated(self.stated)
+            form = format_of_frame(frame, kind, siting=siting, turn_degrees=-int(frame.rotation) % 360)
+            return form.with_stated(self.stated)
         except InputError as error:
             raise InputError(f"{self.name}: {error}") from None

@@ -11,9 +11,9 @@ import numpy as np
 from chromaperture.capture.decoded_frame import DamagedError, counts_of_frame, decode_packet, format_of_frame
 from chromaperture.capture.native_planes import ENCODED_WHITE, Planes, rgb_of_planes
 from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat, described
-from chromaperture.capture.source import Frame, choose_encoding
+from chromaperture.capture.source import Frame
 from chromaperture.capture.threaded_source import DeviceLostError, not_there
-from chromaperture.color.encoding import Encoding, Siting, StatedFacts
+from chromaperture.color.encoding import Encoding, Siting, StatedFacts, choose_encoding
 from chromaperture.system.errors import InputError
 
 _BYTES = {"YUYV": (0, 1), "YUY2": (0, 1), "UYVY": (1, 0)}  # of luma and chroma in a pixel
@@ -24,19 +24,8 @@ _MOST_DAMAGED = 30  # frames in turn: a second
 class Webcam:
     """An opened webcam, with automatic focus and white balance off, and automatic exposure off if one is given.
 
-    Parameters
-    ----------
-    device : str
-        Number or path: "0", "/dev/video0".
-    width, height : int, optional
-    fps : float, optional
-    exposure_us, gain : float, optional
-    pixel_format : {"YUYV", "UYVY", "NV12", "MJPG"}
-        That the driver is asked for; another one that it delivers is read, too. MJPG has more frames a second.
-    siting : {"left", "centre", "top-left"}
-        Place of chroma among luma; webcams sample it at every other pixel of a row.
-    camera_encoding : Encoding, optional
-        See `choose_encoding`.
+    The device is a number or a path: "0", "/dev/video0". Another pixel format than the one that the driver is asked for
+    is read, too; MJPG has more frames a second. Chroma of which nothing is stated lies at every other pixel of a row.
     """
 
     def __init__(
@@ -49,7 +38,7 @@ class Webcam:
         exposure_us: float | None = None,
         gain: float | None = None,
         pixel_format: str = "YUYV",
-        siting: Siting = "left",
+        siting: Siting | None = None,
         camera_encoding: Encoding | None = None,
     ) -> None:
         self._camera_encoding, self._stated = camera_encoding, StatedFacts(siting)
@@ -103,7 +92,7 @@ class Webcam:
         kind = code.to_bytes(4, "little", signed=code < 0).decode("ascii", "replace")
         if kind == "MJPG":
             frame = decode_packet("mjpeg", data.tobytes())
-            form = format_of_frame(frame, kind, siting="left", stated=self._stated)
+            form = format_of_frame(frame, kind, siting="left").with_stated(self._stated)
             return counts_of_frame(frame, form)[0], form
         if data.ndim == 3 and data.shape[2] == 3:  # a driver that delivers colours of every pixel: B, G, R
             return data[..., ::-1].copy(), PictureFormat(kind, data.shape[1::-1], 8)
@@ -119,10 +108,8 @@ class Webcam:
                 f"choose pixel_format={' or '.join(_FORMATS)}"
             )
         size = planes.luma.shape[1], planes.luma.shape[0]
-        form = PictureFormat(
-            kind, size, 8, factors, self._stated.siting or "left", LUMA_WEIGHTS[2], full_range=False,
-            known_from={"siting": "option" if self._stated.siting != "left" else "default"},
-        )  # fmt: skip
+        form = PictureFormat(kind, size, 8, factors, "left", LUMA_WEIGHTS[2], full_range=False)
+        form = form.with_stated(self._stated)
         return rgb_of_planes(planes, form), form
 
     def close(self) -> None:

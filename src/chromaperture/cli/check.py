@@ -61,8 +61,7 @@ def check(
     chromaperture check neutral.jpg --coloured orange.jpg --camera camera.asdf
     """
     from chromaperture.camera.camera import CodedApertureCamera
-    from chromaperture.capture.developed import other_colours
-    from chromaperture.capture.exif import read_exif
+    from chromaperture.capture.exif import other_colours, read_exif
     from chromaperture.cli.setup import stated_facts, with_stated
     from chromaperture.evaluation.health import Check, check_camera, outcome
     from chromaperture.model.camera_file import Calibration

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import warnings
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypedDict, get_args
 
 import cv2
 import numpy as np
 
 from chromaperture.color.color_space import TRANSFERS, Transfer, to_linear
 from chromaperture.color.response import ResponseCurve
-from chromaperture.system.errors import InputError
+from chromaperture.system.errors import CaptureWarning, InputError
 from chromaperture.system.threads import each_band
 
 Offsets = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
@@ -20,6 +21,7 @@ Pattern = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
 SITINGS: tuple[Siting, ...] = get_args(Siting)
 PATTERNS: tuple[Pattern, ...] = get_args(Pattern)
 _LEVELS = 65536  # of a curve's table: steps of a 250th of a count of 8 bits
+_TWELVE_BITS = 4096  # a 16-bit file with no count above is likely that of a sensor of 12 bits or fewer
 CENTRED: Offsets = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
 
 
@@ -86,6 +88,88 @@ def format_encoding(dtype: np.dtype[Any]) -> Encoding:
     if dtype == np.uint8:
         return Encoding(0.0, 255.0, "srgb", given=False)
     return Encoding(0.0, 1.0 if dtype.kind == "f" else float(np.iinfo(dtype).max), given=False)
+
+
+class Levels(TypedDict, total=False):
+    """Levels that a reader gives, and those of the camera that the files are for; see `choose_encoding`."""
+
+    black_level: float | None
+    white_level: float | None
+    camera_encoding: Encoding | None
+
+
+def choose_encoding(
+    own: Encoding | None,
+    counts: np.ndarray,
+    *,
+    black_level: float | None = None,
+    white_level: float | None = None,
+    camera_encoding: Encoding | None = None,
+) -> Encoding:
+    """Choose levels: the given ones, else the camera's where the counts can hold them, else the file's or format's own.
+
+    Given levels are the sensor's, make counts linear, and are doubled for superpixels. Pictures of encoded values tell
+    nothing of a camera's linear ones, nor linear ones of them. Warns where encoded values cannot hold the camera's
+    levels and where the white level is a guess that looks wrong, without a file's name: Python shows each text once.
+    """
+    own = own or format_encoding(counts.dtype)
+    camera = None if camera_encoding is None else _camera_of(own, counts, camera_encoding, (black_level, white_level))
+    given = (black_level, white_level)
+    known = (None, None) if camera is None else (camera.black_level, camera.white_level)
+    black, white = (level if level is not None else of_camera for level, of_camera in zip(given, known, strict=True))
+    factor = 1 if own.channel_offsets_px == CENTRED else 2
+    is_guess = white is None and not (own.given or own.is_encoded) and own.white_level == 65535 * factor
+    if is_guess and 0 < counts.max(initial=0) < _TWELVE_BITS * factor:
+        warnings.warn(
+            f"a 16-bit picture without a count above {_TWELVE_BITS - 1}; if the sensor has fewer bits, "
+            "give --white-level",
+            CaptureWarning,
+            stacklevel=4,
+        )
+    if black is None and white is None:
+        return own
+    curve = {} if camera is None else {"curve": camera.curve, "curve_parameters": camera.curve_parameters}
+    return replace(
+        own,
+        **{"curve": "linear", "curve_parameters": ()} | curve,  # type: ignore[arg-type]
+        black_level=own.black_level if black is None else factor * float(black),
+        white_level=own.white_level if white is None else factor * float(white),
+        response=None if camera is None else camera.response,
+        given=True,
+    )
+
+
+def _camera_of(
+    own: Encoding, counts: np.ndarray, camera: Encoding, given: tuple[float | None, float | None]
+) -> Encoding | None:
+    """Return the camera's encoding, its levels those of the counts, where it can be that of the counts; else None."""
+    is_given = given != (None, None)
+    if camera.is_encoded:
+        if not own.is_encoded and counts.dtype != np.uint8 and camera.white_level > 255:
+            return camera  # a curve that a calibration has found in deep files without a tag
+        if is_given or not own.is_encoded:
+            return None
+        if (own.curve, own.curve_parameters) != (camera.curve, camera.curve_parameters):
+            return None  # each is decoded by its own curve; what was measured of the camera's does not apply
+        scale = own.white_level / _white_of_encoded(camera)
+        return replace(camera, black_level=scale * camera.black_level, white_level=scale * camera.white_level)
+    if counts.dtype != np.uint8 and not own.is_encoded:
+        return camera
+    if counts.dtype == np.uint8 and camera.white_level <= 255:  # linear counts of 8 bits, which no tag tells
+        return camera
+    if not is_given:
+        warnings.warn(
+            f"a picture of encoded values, but the camera was calibrated on counts up to {camera.white_level:g}: "
+            f"decoded by the curve {own.curve}, which costs accuracy; use the linear original",
+            CaptureWarning,
+            stacklevel=5,
+        )
+    return None
+
+
+def _white_of_encoded(camera: Encoding) -> float:
+    """Return the highest count of the numbers that a camera's levels were stated in: of 8 bits, or of 16."""
+    return 255.0 if camera.white_level <= 255 else 65535.0
 
 
 def develop_counts(counts: np.ndarray, encoding: Encoding) -> np.ndarray:

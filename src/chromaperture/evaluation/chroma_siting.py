@@ -1,15 +1,21 @@
-"""Check by two prints that chroma lies where a camera's files are taken to have it, and say what is wrong."""
+"""Check by a neutral and a coloured print that chroma lies where files are taken to have it, and say what is wrong.
+
+Chroma that is taken for d px beside its place moves a channel C against luma Y by d (1 - Y/C), and so R against B by
+d (Y/B - Y/R): nothing on grey, 0.93 px on an orange for half a pixel. Lateral colour of the lens and parallax move both
+prints alike, so that the difference between the two is the siting's. Y/C is that of the texture, not of the mean:
+orange ink on white paper varies most in blue.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from chromaperture.capture.files import decode
-from chromaperture.capture.picture_format import FORM, PictureFormat
+from chromaperture.capture.picture_format import FORM, LUMA_WEIGHTS, PictureFormat
 from chromaperture.capture.shots import VIDEOS
-from chromaperture.capture.siting_check import LEAST_CONTRAST, ChromaError, find_chroma_error
 from chromaperture.color.encoding import SITINGS, Siting, StatedFacts
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import depth_to_disparity, disparity_to_depth
@@ -17,12 +23,33 @@ from chromaperture.evaluation.health import Check
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import centroids
 from chromaperture.system.errors import InputError
+from chromaperture.system.robust import MEDIAN_INEFFICIENCY, robust_sigma
 
 _NAME = "chroma siting"
 _WHERE = {"centre": "in the middle", "left": "at the left", "top-left": "at the top left"}
 _TOLERANCE_PX = 0.15  # sitings are half a pixel apart; codecs and parallax of 3 px leave .06
 _MOST_SIGMA_PX = 0.05  # three of them are the tolerance
 _SHOWN_MM = 1000.0  # distance at which the error is told, where the camera's range holds it
+_LEAST_CONTRAST = 0.4  # of Y/B - Y/R: half a pixel of chroma is then 0.2 px of R against B
+_LEAST_WINDOWS = 4
+_SIDES_PX = 128, 64  # of windows; the smaller where the picture has fewer than three of the larger
+_BANDS = 0.05, 0.12  # cycles a px: the first tells displacements of up to 8 px from their wraps, the second is precise
+_LEAST_COHERENCE = 0.8  # of R and B of a print: below, noise is half as strong as the texture
+_LEAST_ASPECT = 0.1  # of the band's moments: stripes tell nothing along themselves
+_NOTHING = (np.nan, np.nan, np.nan)
+
+
+class ChromaError(NamedTuple):
+    """By how far chroma lies beside the place that it is taken for: (x, y), px of luma, and the standard error.
+
+    ``contrast`` is Y/B - Y/R of the coloured print less that of the neutral one, in so many ``windows`` where both have
+    texture. What is not known is NaN.
+    """
+
+    error_px: np.ndarray
+    sigma_px: np.ndarray
+    contrast: float
+    windows: int
 
 
 def check_siting(neutral: Path, coloured: Path, calibration: Calibration) -> Check:
@@ -93,7 +120,7 @@ def _unknown(found: ChromaError) -> Check:
     if not np.isfinite(found.contrast):
         finding, advice = "the prints have no texture", "photograph prints full of texture, sharp and well exposed"
     elif not np.isfinite(found.error_px).all():
-        enough = f"by {LEAST_CONTRAST:g} and more in {found.windows} windows of the frame"
+        enough = f"by {_LEAST_CONTRAST:g} and more in {found.windows} windows of the frame"
         finding = f"the prints differ too little in colour: Y/B - Y/R by {found.contrast:+.2f} in the median, {enough}"
         advice = "take a print of strong orange, yellow, green or blue, large in the picture"
     else:
@@ -133,3 +160,54 @@ def _in_mm(wrong_px: np.ndarray, form: PictureFormat, calibration: Calibration) 
     near_mm, far_mm = (disparity_to_depth(disparity_px + s * wrong_disparity_px, curve)[0] for s in (-0.5, 0.5))
     mm = abs(float(far_mm - near_mm))
     return f", about {mm:.0f} mm at {distance_mm / 1000:g} m" if np.isfinite(mm) else ""
+
+
+def find_chroma_error(neutral: np.ndarray, coloured: np.ndarray, form: PictureFormat) -> ChromaError:
+    """Measure by how far chroma lies beside the place that it is taken for.
+
+    ``neutral``, ``coloured`` (h, w, 3) array: encoded R, G, B of both photographs, as `rgb_of_planes` makes them;
+    ``form``: of both, with the siting that they were read by.
+    """
+    differences = _windows(coloured, form) - _windows(neutral, form)
+    differences = differences[np.isfinite(differences[:, 2])]
+    typical = float(np.median(differences[:, 2])) if len(differences) else float("nan")
+    differences = differences[np.abs(differences[:, 2]) >= _LEAST_CONTRAST]
+    if len(differences) < _LEAST_WINDOWS:
+        return ChromaError(np.full(2, np.nan), np.full(2, np.nan), typical, len(differences))
+    errors = form.reduction * differences[:, :2] / differences[:, 2:]
+    error = np.median(errors, axis=0)
+    sigma = [MEDIAN_INEFFICIENCY * robust_sigma(rest) / len(rest) ** 0.5 for rest in (errors - error).T]
+    return ChromaError(error, np.array(sigma), float(np.median(differences[:, 2])), len(differences))
+
+
+def _windows(rgb: np.ndarray, form: PictureFormat) -> np.ndarray:
+    """Return `_window` of windows that overlap by half, (N, 3)."""
+    height, width = rgb.shape[:2]
+    side = next((side for side in _SIDES_PX if 3 * side <= min(height, width)), _SIDES_PX[-1])
+    rows, columns = (range(0, length - side + 1, side // 2) for length in (height, width))
+    red, blue = form.luma_weights or LUMA_WEIGHTS[2]
+    weights = np.array([red, 1 - red - blue, blue])
+    return np.reshape([_window(rgb[y : y + side, x : x + side], weights) for y in rows for x in columns], (-1, 3))
+
+
+def _window(rgb: np.ndarray, luma_weights: np.ndarray) -> tuple[float, float, float]:
+    """Return displacement of R against B, x and y in px, and Y/B - Y/R; NaN without texture."""
+    side, taper = len(rgb), np.hanning(len(rgb))[:, None]
+    turns = np.stack(np.meshgrid(np.fft.rfftfreq(side), np.fft.fftfreq(side)), axis=-1)
+    radius = np.hypot(turns[..., 0], turns[..., 1])
+    band = (radius > 1.5 / side) & (radius < _BANDS[-1]) & ((turns[..., 0] > 0) | (turns[..., 1] > 0))
+    tapered = (rgb - rgb.mean(axis=(0, 1), dtype=float)) * (taper * taper.T)[..., None]
+    spectrum, turns, radius = np.fft.rfft2(tapered, axes=(0, 1))[band], turns[band], radius[band]
+    red, blue, luma = spectrum[:, 0], spectrum[:, 2], spectrum @ luma_weights
+    power, cross, moved = [(np.abs(c) ** 2).sum() for c in (red, blue)], red * np.conj(blue), np.zeros(2)
+    for most in _BANDS:  # least squares of the phase that is left, weighted by its precision
+        weighted = np.where(radius < most, np.abs(cross), 0.0)[:, None] * turns
+        low, high = np.linalg.eigvalsh(moments := weighted.T @ turns)
+        if not low > _LEAST_ASPECT * high:
+            return _NOTHING
+        rest = np.angle(cross * np.exp(2j * np.pi * (turns @ moved))) / (2 * np.pi)
+        moved = moved - np.linalg.solve(moments, weighted.T @ rest)
+    if np.abs((cross * np.exp(2j * np.pi * (turns @ moved))).sum()) < _LEAST_COHERENCE * np.sqrt(power[0] * power[1]):
+        return _NOTHING
+    share_red, share_blue = ((luma * np.conj(c)).real.sum() / p for c, p in zip((red, blue), power, strict=True))
+    return moved[0], moved[1], share_blue - share_red

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.camera.camera import CodedApertureCamera
-from chromaperture.capture.developed import other_colours
-from chromaperture.capture.exif import read_model
+from chromaperture.capture.exif import other_colours, read_model
 from chromaperture.capture.picture_format import PictureFormat, described
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.depth.pointcloud import PointCloud, depth_to_points

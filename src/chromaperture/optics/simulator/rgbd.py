@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -9,6 +10,7 @@ import numpy as np
 
 from chromaperture.optics.simulator.textures import srgb_to_linear
 from chromaperture.system.errors import InputError
+from chromaperture.system.storage import natural
 
 _UNKNOWN = (0, 65535)  # counts of unknown depth, as depth cameras write it
 
@@ -44,3 +46,20 @@ def _read(path: Path, flags: int) -> np.ndarray:
     if picture is None:
         raise InputError(f"cannot read {path} as a picture")
     return np.asarray(picture)
+
+
+def rgbd_pairs(folder: Path) -> list[tuple[Path, Path]]:
+    """Find colour pictures and their depth: NAME.color.* with NAME.depth.png, or rgb/ and depth/ in equal order."""
+    if not os.path.isdir(folder):
+        raise InputError(f"no RGB-D sequence or scene file at {folder}")
+    if (folder / "rgb").is_dir() and (folder / "depth").is_dir():
+        colors, depths = (sorted((folder / part).iterdir(), key=natural) for part in ("rgb", "depth"))
+        if len(colors) != len(depths):
+            raise InputError(f"{folder} holds {len(colors)} pictures in rgb/ and {len(depths)} in depth/")
+        pairs = list(zip(colors, depths, strict=True))
+    else:
+        found = ((p, folder / f"{p.name.split('.color.')[0]}.depth.png") for p in folder.glob("*.color.*"))
+        pairs = sorted(((c, d) for c, d in found if d.is_file()), key=lambda pair: natural(pair[0]))
+    if not pairs:
+        raise InputError(f"{folder} holds no NAME.color.* with NAME.depth.png, nor rgb/ and depth/")
+    return pairs
