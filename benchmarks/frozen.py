@@ -17,6 +17,7 @@ import argparse
 import hashlib
 import inspect
 import json
+import os
 import re
 import struct
 import sys
@@ -30,6 +31,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any, get_args
 from unittest import mock
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before NumPy: accurate's windows are rounded by how many there are
 
 import numpy as np
 import typer
@@ -217,7 +220,7 @@ def of_names() -> Found:
     def signature(thing: Any) -> str:
         plain = isinstance(thing, type) and issubclass(thing, Exception)  # has no signature of its own
         text = str(inspect.signature(thing)) if callable(thing) and not plain else type(thing).__name__
-        return re.sub(r"\bchromaperture\.(?:\w+\.)*", "", text)
+        return re.sub(r"\bchromaperture\.(?:\w+\.)*| at 0x\w+", "", text)
 
     for name in chromaperture.__all__:
         thing = getattr(chromaperture, name)
