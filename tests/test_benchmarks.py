@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 SCRIPTS = sorted(path for folder in ("benchmarks", "examples") for path in (ROOT / folder).rglob("*.py"))
 OTHERS = {
     "PIL", "av", "cv2", "matplotlib", "mcap_ros2", "msgspec", "numba", "numpy", "onnx", "open3d", "scipy",
-    "skimage", "sklearn", "tifffile", "torch", "websockets",
+    "skimage", "sklearn", "tifffile", "torch", "typer", "websockets",
 }  # fmt: skip
 
 

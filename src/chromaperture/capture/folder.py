@@ -12,10 +12,11 @@ from typing import Literal
 from chromaperture.capture.files import read_counts
 from chromaperture.capture.picture_format import described
 from chromaperture.capture.recording import HEADER
-from chromaperture.capture.shots import counted, natural, photographs
+from chromaperture.capture.shots import counted, photographs
 from chromaperture.capture.source import Frame, PictureSource, checked_fps
 from chromaperture.color.encoding import Pattern, Siting, StatedFacts
 from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture.system.storage import natural
 
 
 @dataclass(kw_only=True, eq=False)
