@@ -96,11 +96,6 @@ def operations(dispatch: Dispatch) -> float:
         "windows_y": lambda: (8 * ahead + 8 * back) * invocations,
         "products_x": lambda: 4 * pairs * (3 * ahead + 5 * back) * invocations,
         "correlation": lambda: 4 * (pairs * (5 * ahead + 5 * back) + (8 * pairs + 6) * c["block"]) * invocations,
-        "products_of_lines": lambda: 4 * pairs * 8 * (c["width"] + c["pad_x"]) * invocations,
-        "correlation_of_lines": lambda: 16 * (18 * pairs + 6) * (c["height"] + c["pad_y"]) * invocations,
-        # Every sample is joined three times, once of them in the walk to the end.
-        "layers_x": lambda: 4 * (3 * 6 * c["moment_count"] + 2 * 7 * views) * c["each"] * c["blocks"] * invocations,
-        "layers_y": lambda: 4 * (3 * 8 * c["moment_count"] + 8) * c["each"] * c["blocks"] * invocations,
         # Sums of a row of two cells (three views are sampled there, 7 px by four taps), and the scores of both.
         "cell_scores": lambda: (
             ((2 * c["cells_each"] + 3) * (102 if views == 2 else 192 + 168) + 2 * c["cells_each"] * 60 * pairs)
@@ -113,7 +108,6 @@ def operations(dispatch: Dispatch) -> float:
         "beside_nearer": lambda: 2 * (2 * c["nearer_reach"] + 1) ** 2 * invocations,
         "links": lambda: 10 * invocations,
         "smoothing": lambda: 12 * c["width"] * c["height"] * c["map_count"],
-        "smoothing_of_lines": lambda: 8 * c["width"] * c["height"] * c["map_count"],
         "surface": lambda: (2 * c["reach"] + 4) * (5 + 16) * invocations,
         "surface_range": lambda: ((2 * c["reach"] + 4) * 16 + 4 * 30) * invocations,
         "cells_enlarged": lambda: 35 * invocations,
@@ -133,13 +127,6 @@ def steps(dispatch: Dispatch) -> float:
         return float(c["width"] if c["direction"] < 2 else c["height"])
     if dispatch.stage == "smoothing":  # 32 segments of a line, each walked three times, and their sums twice
         return 3 * math.ceil((c["width"] if c["along_x"] else c["height"]) / 32) + 2 * 31
-    if dispatch.stage == "smoothing_of_lines":
-        return 2.0 * (c["width"] if c["along_x"] else c["height"])
-    if dispatch.stage in ("products_of_lines", "correlation_of_lines"):
-        along_x = dispatch.stage == "products_of_lines"
-        return 2.0 * (c["width"] + 2 * c["pad_x"] if along_x else c["height"] + 2 * c["pad_y"])
-    if dispatch.stage in ("layers_x", "layers_y"):
-        return 3.0 * c["each"] * c["blocks"]
     return float(2 * c["block"] + 3 * c["reach"]) if "block" in c else 0.0  # there and back
 
 

@@ -27,7 +27,7 @@ from chromaperture.settings.methods import RealTimeConfig
 from chromaperture.settings.stages import SurfaceConfig
 from devices import EXPECTED, needs_device
 from test_gpu_alignment import camera_of, chain_behind_disparity
-from test_gpu_surface import device_as, volume
+from test_gpu_surface import volume
 from worlds import wavy_capture
 
 SHAPE = (60, 84)
@@ -137,11 +137,10 @@ def test_colours_and_depth_of_a_disparity_in_a_browser(scale, tmp_path, rng):
     np.testing.assert_allclose(depth, expected["depth_mm"], rtol=1e-4)  # A - d in 32 bits
 
 
-@pytest.mark.parametrize("software", [True, False])
-def test_stages_of_accurate_in_a_browser(software, tmp_path, rng):
-    """Paths, posterior and sums of blocks: both forms of shaders that have two."""
+def test_stages_of_accurate_in_a_browser(tmp_path, rng):
+    """Paths, posterior and sums of blocks."""
     likelihood, guide = volume(rng, 20, 26, 33)
-    chain, grid = Chain(device_as(software=software)), Grid(*likelihood.shape)
+    chain, grid = Chain(open_device("gpu")), Grid(*likelihood.shape)
     arrays = [chain.array(name, n) for name, n in (("likelihood", grid.size), ("guide", grid.pixels))]
     add_path_surface(chain, *arrays, grid, np.linspace(-4, 4, 33), config=SurfaceConfig())
     add_block_sums(chain, arrays[0], grid, 4)

@@ -55,7 +55,7 @@ def make_plan(camera: CodedApertureCamera, exchange: str, facts: dict[str, Any])
     ----------
     camera : CodedApertureCamera
         At real-time quality, for frames that need not be reduced.
-    exchange : {"quad", "shared", "single"}
+    exchange : {"quad", "shared"}
         See `PlannedChain`.
     facts : dict
         More to put into the plan's text.

@@ -36,9 +36,7 @@ LIKELIHOOD: dict[str, Any] = {
     "logarithm_terms": LOGARITHM,
     "logarithm_count": len(LOGARITHM),
 }
-# Cells that an invocation takes, one below the other: they share the sums of 3 of their 5 rows. Software has few
-# invocations at once.
-_CELLS, _SOFTWARE_CELLS = 8, 16
+_CELLS = 8  # that an invocation takes, one below the other: they share the sums of 3 of their 5 rows
 
 
 def add_cell_planes(chain: Chain, planes: Planes) -> Planes:
@@ -74,7 +72,6 @@ def add_cell_scores(
     if not three:
         samples = chain.array("samples", tall * wide * max(len(chunk.phases_x) for chunk in chunks))
     score = chain.array("score", cells.pixels * len(layers_px))
-    cells_each = _SOFTWARE_CELLS if chain.device.info.is_software else _CELLS
     for number, chunk in enumerate(chunks):
         if three:
             add_samples_y(chain, planes, chunk, number, samples_y, margin=margin, pad_y=pad_y, whole=True)
@@ -84,9 +81,9 @@ def add_cell_scores(
             further = []
         chain.add(
             "cell_scores", [samples, chain.constant(f"places{number}", chunk.places), planes.stats, score, *further],
-            groups=groups_for(-(-cells.height // cells_each) * -(-cells.width // 2) * chunk.size),
+            groups=groups_for(-(-cells.height // _CELLS) * -(-cells.width // 2) * chunk.size),
             uses=(*SHARED, "cells_three" if three else "cells_two"), views=planes.view_count,
-            cells_each=cells_each, cells_wide=cells.width, cells_tall=cells.height,
+            cells_each=_CELLS, cells_wide=cells.width, cells_tall=cells.height,
             entry_count=len(chunk.phases_x), phase_count=len(chunk.phases_y), layer_count=chunk.size,
             first_layer=chunk.first, all_layers=len(layers_px), reach=WINDOW_REACH_PX,
             score_parts=SCORE_PARTS, relative_epsilon=sum(CELL_TAPS) ** 4 * CELL_EPSILON,

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from chromaperture.matching.device.device import Array, Chain
-from chromaperture.matching.device.layers_by_four import Fours, consecutive, sliding
 from chromaperture.matching.device.view_stages import SHARED, Planes
 from chromaperture.matching.device.workgroups import GROUP, groups_for
 from chromaperture.matching.readable.correlation import RELATIVE_EPSILON, SAMPLING, padding
@@ -25,8 +24,7 @@ from chromaperture.settings.stages import CorrelationConfig
 # Share of a window's weight that lies beyond the samples a block of a line starts from, where the picture counts as
 # even.
 _NEGLIGIBLE = 1e-6
-_BLOCK, _SOFTWARE_BLOCK = 64, 4096  # most px of a line that an invocation takes; in software whole lines
-_TOGETHER = 4  # samples of a line in registers: with 8 they would be 72 vectors of three views
+_BLOCK = 64  # most px of a line that an invocation takes
 _CHUNK_BYTES = 128e6  # of the largest array of a chunk: WebGPU's default limit of a binding
 _EACH = 16  # neighbours that an invocation samples: 5 % more taps are read than with all of a line
 _PHASES = 1e6  # sub-pixel phases that differ by less than one part are one
@@ -47,8 +45,6 @@ class Kept(NamedTuple):
         Further maps of a pixel behind those of a chunk's layers.
     together : int
         The maps of a pixel are filled up to a multiple of this.
-    any_order : bool
-        Whether it takes layers by four in another order than theirs.
     """
 
     name: str
@@ -57,11 +53,10 @@ class Kept(NamedTuple):
     more: int = 0
     together: int = 1
 
-    any_order: bool = True  # of the layers by four
-
-    def pitch_of(self, layers: int, fours: Fours) -> int:
+    def pitch_of(self, layers: int) -> int:
         """Return the maps of a pixel in a chunk of so many layers."""
-        filled = 4 * fours.quads - 1 if layers < 4 * fours.quads else layers  # one place is free, or none
+        quads = -(-layers // 4)
+        filled = 4 * quads - 1 if layers < 4 * quads else layers  # one place is free, or none
         return -(-((filled if self.more else layers) + self.more) // self.together) * self.together
 
 
@@ -73,6 +68,11 @@ class Chunk(NamedTuple):
     phases_y: np.ndarray  # (Ey, 8) float32: four taps, the view, three of nothing
     phases_x: np.ndarray  # (E, 8) float32: four taps, the phase along y, three of nothing
     places: np.ndarray  # (K, C, 4) int32: entry, whole px along x, along y, 0
+
+    @property
+    def quads(self) -> int:
+        """Layers by four; the last four are filled with the last layer."""
+        return -(-self.size // 4)
 
 
 def chunks_of(
@@ -140,7 +140,7 @@ def add_correlation(
     pitch: int | None = None,
     chunked: bool = False,
     kept: Kept | None = None,
-) -> Iterator[tuple[Array, Chunk, Fours]]:
+) -> Iterator[tuple[Array, Chunk]]:
     """Add the scores, chunk after chunk; what is added between two chunks may read the last one's.
 
     Parameters
@@ -161,15 +161,9 @@ def add_correlation(
     ------
     score : Array
     chunk : Chunk
-    fours : Fours
     """
     pad_x, pad_y = padding(layers_px, directions, config.sampling)
     kept = kept or Kept("score", ("scores_kept",), {})
-    if chain.device.info.is_software and not _slides(layers_px, directions, config.sampling):
-        yield from _add_layers(
-            chain, planes, layers_px, directions, config, kept, pads=(pad_x, pad_y), pitch=pitch, chunked=chunked
-        )
-        return
     tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
     most_bytes = min(_CHUNK_BYTES, chain.device.largest_bytes)
     reach = math.ceil(math.log(_NEGLIGIBLE) / math.log(config.window_decay))
@@ -177,7 +171,7 @@ def add_correlation(
     most_entries = max(1, int(most_bytes // (8 * (tall + reach) * (wide + reach))))
     most_layers = max(1, int(most_bytes // (4 * tall * wide)) - 1) if chunked else len(layers_px)
     words = 4 if planes.view_count == 2 else 12  # of the covariances of all pairs, of four layers
-    (block_x, blocks_x), (block_y, blocks_y) = (_even_blocks(chain, side) for side in (planes.width, planes.height))
+    (block_x, blocks_x), (block_y, blocks_y) = (_even_blocks(side) for side in (planes.width, planes.height))
     steps_x, steps_y = block_x + max(reach, pad_x), block_y + max(reach, pad_y)
     columns = -(-planes.width // 4) * 4
     of_quad = words * max(tall * blocks_x * steps_x, columns * blocks_y * steps_y)  # numbers that wait in `ahead`
@@ -185,24 +179,18 @@ def add_correlation(
     waiting = chain.device.largest_bytes // 4 - words * GROUP * 4 * max(steps_x, steps_y)
     most_layers = min(most_layers, 4 * int(waiting // of_quad))
     chunks = chunks_of(layers_px, directions, config.sampling, most_entries, most_layers)
-    fours = [_fours_of(chain, chunk, kept) for chunk in chunks]
-    sizes = zip(chunks, fours, strict=True)
-    volume = _largest(chain, kept.name, [planes.pixels * (pitch or kept.pitch_of(c.size, f)) for c, f in sizes])
+    volume = _largest(chain, kept.name, [planes.pixels * (pitch or kept.pitch_of(c.size)) for c in chunks])
     samples_y = _largest(chain, "samples_y", [tall * planes.width * len(c.phases_y) for c in chunks])
     samples = _largest(chain, "samples", [tall * wide * len(c.phases_x) for c in chunks])
     windows = _largest(chain, "windows", [2 * tall * (wide + reach) * len(c.phases_x) for c in chunks])
     apart_x = _largest(chain, "deviations_x", [2 * tall * (wide + reach) * len(c.phases_x) for c in chunks])
     apart_y = _largest(chain, "deviations_y", [2 * (tall + reach) * wide * len(c.phases_x) for c in chunks])
     gains = _largest(chain, "gains", [(tall + reach) * wide * len(c.phases_x) for c in chunks])
-    quads = [by_four.quads for by_four in fours]
+    quads = [chunk.quads for chunk in chunks]
     covariances = _largest(chain, "covariances", [words * tall * planes.width * count for count in quads])
     invocations = [(tall * blocks_x * count, planes.width * blocks_y * count) for count in quads]
     most_steps = [max(-(-x // GROUP) * steps_x, -(-y // GROUP) * steps_y) for x, y in invocations]
-    waiting_numbers = [
-        words * (_waiting_in_lines(planes, f, pad_x, pad_y) if f.slide else GROUP * steps)
-        for f, steps in zip(fours, most_steps, strict=True)
-    ]
-    ahead = _largest(chain, "ahead", waiting_numbers)
+    ahead = _largest(chain, "ahead", [words * GROUP * steps for steps in most_steps])
     pairs = "pairs_two" if planes.view_count == 2 else "pairs_three"
     decay = float(config.window_decay)
     window: dict[str, Any] = {"decay": decay, "reach": reach}
@@ -210,16 +198,16 @@ def add_correlation(
     size: dict[str, Any] = {"width": planes.width, "height": planes.height, "pad_x": pad_x, "pad_y": pad_y}
     for number, chunk in enumerate(chunks):
         entries = len(chunk.phases_x)
-        by_four = fours[number]
-        places = chain.constant(f"places{number}", by_four.places)
+        filled = np.pad(chunk.places, ((0, 0), (0, 4 * chunk.quads - chunk.size), (0, 0)), mode="edge")
+        places = chain.constant(f"places{number}", filled)
         taps_y, taps_x = add_samples(chain, planes, chunk, number, samples_y, samples, pad_x=pad_x, pad_y=pad_y)
         frame: dict[str, Any] = {"row_count": tall, "columns": wide, "entry_count": entries, **window}
-        block, blocks = _even_blocks(chain, wide + reach)
+        block, blocks = _even_blocks(wide + reach)
         chain.add(
             "windows_x", [samples, windows, apart_x], groups=groups_for(tall * blocks * entries), uses=SHARED,
             block=block, deviation_unit=unit, **frame,
         )  # fmt: skip
-        block, blocks = _even_blocks(chain, tall + reach)
+        block, blocks = _even_blocks(tall + reach)
         chain.add(
             "windows_y", [windows, taps_x, taps_y, planes.stats, apart_y, gains],
             groups=groups_for(wide * blocks * entries), uses=SHARED,
@@ -229,26 +217,17 @@ def add_correlation(
         layers["view_count"] = planes.view_count
         mask = [] if kept.uses == ("scores_kept",) else [planes.planes]
         score: dict[str, Any] = {
-            "pitch": pitch or kept.pitch_of(chunk.size, by_four), "first_layer": chunk.first if pitch else 0,
-            "layer_count": chunk.size, "kept_at": 5, "phases": by_four.phases, "per_phase": by_four.per_phase,
-            **kept.constants,
+            "pitch": pitch or kept.pitch_of(chunk.size), "first_layer": chunk.first if pitch else 0,
+            "layer_count": chunk.size, "kept_at": 5, **kept.constants,
         }  # fmt: skip
         along_x, along_y = [apart_x, places, ahead, covariances], [covariances, places, apart_y, gains, ahead, volume]
         along_y += mask
         used: tuple[str, ...] = (*SHARED, pairs)
-        if by_four.slide:
-            used = (*used, "slides")
-            layers["slides_x"], layers["slides_y"] = ((*s, 0.0)[:3] for s in (by_four.slides_x, by_four.slides_y))
-            groups = groups_for(tall * by_four.quads)
-            chain.add("products_of_lines", along_x, groups=groups, uses=used, **layers)
-            groups, used = groups_for(-(-planes.width // 4) * by_four.quads), (*used, "layers_by_four", *kept.uses)
-            chain.add("correlation_of_lines", along_y, groups=groups, uses=used, **layers, **score)
-        else:
-            groups = groups_for(invocations[number][0])
-            chain.add("products_x", along_x, groups=groups, uses=used, block=block_x, **layers)
-            groups, used = groups_for(invocations[number][1]), (*used, "layers_by_four", *kept.uses)
-            chain.add("correlation", along_y, groups=groups, uses=used, block=block_y, **layers, **score)
-        yield volume, chunk, by_four
+        groups = groups_for(invocations[number][0])
+        chain.add("products_x", along_x, groups=groups, uses=used, block=block_x, **layers)
+        groups, used = groups_for(invocations[number][1]), (*used, *kept.uses)
+        chain.add("correlation", along_y, groups=groups, uses=used, block=block_y, **layers, **score)
+        yield volume, chunk
 
 
 def add_samples(
@@ -293,83 +272,9 @@ def add_samples_y(
     return taps_y
 
 
-def _slides(layers_px: np.ndarray, directions: np.ndarray, sampling: str) -> bool:
-    places = _chunk(layers_px, directions, sampling, 0, len(layers_px), whole=False).places
-    return sliding(places) is not None
-
-
-def _add_layers(
-    chain: Chain,
-    planes: Planes,
-    layers_px: np.ndarray,
-    directions: np.ndarray,
-    config: CorrelationConfig,
-    kept: Kept,
-    *,
-    pads: tuple[int, int],
-    pitch: int | None,
-    chunked: bool,
-) -> Iterator[tuple[Array, Chunk, Fours]]:
-    """Add the scores of layers that share no samples, on a rasteriser in software: two stages a chunk."""
-    (pad_x, pad_y), views = pads, planes.view_count
-    tall, moments = planes.height + 2 * pad_y, views + views * (views + 1) // 2
-    most_bytes = min(_CHUNK_BYTES, chain.device.largest_bytes)
-    most_layers = int(most_bytes // (4 * moments * tall * planes.width))
-    chunks = chunks_of(layers_px, directions, config.sampling, views * len(layers_px), most_layers)
-    fours = [consecutive(chunk.places) for chunk in chunks]
-    largest = fours[0].quads
-    blocks_x, blocks_y = (
-        -(-pad // _TOGETHER) + -(-(side + pad) // _TOGETHER)
-        for side, pad in ((planes.width, pad_x), (planes.height, pad_y))
-    )
-    of_x, of_y = groups_for(tall * largest), groups_for(planes.width * largest)
-    incoming = chain.array(
-        "incoming", 4 * moments * GROUP * max(math.prod(of_x) * blocks_x, math.prod(of_y) * blocks_y)
-    )
-    windows = chain.array("windows", 4 * moments * tall * planes.width * largest)
-    samples_y = _largest(chain, "samples_y", [tall * planes.width * len(c.phases_y) for c in chunks])
-    maps = [pitch or kept.pitch_of(c.size, f) for c, f in zip(chunks, fours, strict=True)]
-    volume = _largest(chain, kept.name, [planes.pixels * count for count in maps])
-    used = (*SHARED, *(("pairs_two", "moments_two") if views == 2 else ("pairs_three", "moments_three")), "moments")
-    mask = [] if kept.uses == ("scores_kept",) else [planes.planes]
-    for number, (chunk, by_four) in enumerate(zip(chunks, fours, strict=True)):
-        frame: dict[str, Any] = {
-            "width": planes.width, "height": planes.height, "pad_x": pad_x, "pad_y": pad_y, "each": _TOGETHER,
-            "quads": by_four.quads, "view_count": views, "moment_count": moments - views,
-            "decay": float(config.window_decay),
-        }  # fmt: skip
-        add_samples_y(chain, planes, chunk, number, samples_y, margin=0, pad_y=pad_y, whole=False)
-        taps_x = chain.constant(f"taps_x{number}", chunk.phases_x)
-        places = chain.constant(f"places{number}", by_four.places)
-        chain.add(
-            "layers_x", [samples_y, taps_x, places, incoming, windows], groups=groups_for(tall * by_four.quads),
-            uses=used, phase_count=len(chunk.phases_y), blocks=blocks_x, **frame,
-        )  # fmt: skip
-        chain.add(
-            "layers_y", [windows, planes.stats, incoming, volume, *mask],
-            groups=groups_for(planes.width * by_four.quads), uses=(*used, "layers_by_four", *kept.uses),
-            blocks=blocks_y, relative_epsilon=RELATIVE_EPSILON, kept_at=3, pitch=maps[number],
-            first_layer=chunk.first if pitch else 0, layer_count=chunk.size, phases=1, per_phase=by_four.quads,
-            **frame, **kept.constants,
-        )  # fmt: skip
-        yield volume, chunk, by_four
-
-
-def _fours_of(chain: Chain, chunk: Chunk, kept: Kept) -> Fours:
-    found = sliding(chunk.places) if chain.device.info.is_software and kept.any_order else None
-    return found or consecutive(chunk.places)
-
-
-def _waiting_in_lines(planes: Planes, fours: Fours, pad_x: int, pad_y: int) -> int:
-    """Return how much waits in `ahead` where an invocation takes whole lines, of all pairs of four layers."""
-    along_x = groups_for((planes.height + 2 * pad_y) * fours.quads)[0] * (planes.width + pad_x)
-    along_y = groups_for(-(-planes.width // 4) * fours.quads)[0] * (planes.height + pad_y) * 4
-    return GROUP * max(along_x, along_y)
-
-
-def _even_blocks(chain: Chain, pixels: int) -> tuple[int, int]:
+def _even_blocks(pixels: int) -> tuple[int, int]:
     """Return the length of the blocks of a line, about equal ones, and their number."""
-    blocks = -(-pixels // (_SOFTWARE_BLOCK if chain.device.info.is_software else _BLOCK))
+    blocks = -(-pixels // _BLOCK)
     return -(-pixels // blocks), blocks
 
 

@@ -13,8 +13,3 @@ fn scores_of(covariances: Covariances, gains: Covariances) -> vec4f {
     let rest = z - x * y;
     return 1.0 - sqrt(max((1.0 - x) * (1.0 + x) * (1.0 - y) * (1.0 + y) - rest * rest, vec4f()));
 }
-
-// Of views that are named.
-fn products_of(a: vec4f, b: vec4f, c: vec4f) -> Covariances {
-    return mat3x4f(a * b, a * c, b * c);
-}

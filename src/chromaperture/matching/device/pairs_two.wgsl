@@ -8,8 +8,3 @@ fn products(of_views: array<vec4f, 2>) -> Covariances {
 fn scores_of(covariances: Covariances, gains: Covariances) -> vec4f {
     return clamp(covariances * gains, vec4f(-1.0), vec4f(1.0));
 }
-
-// Of views that are named; there is no third.
-fn products_of(a: vec4f, b: vec4f, c: vec4f) -> Covariances {
-    return a * b;
-}

@@ -51,16 +51,16 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
     links = add_links(chain, planes, best, even=even, edge_range=1.0, by_layer=False)
     kept = Kept("weighted", ("scores_weighted",), {"least_weight": MIN_WEIGHT}, more=1, together=4)
     directions = space.directions
-    for maps, chunk, fours in add_correlation(
+    for maps, chunk in add_correlation(
         chain, planes, layers_px, directions, config.correlation, chunked=True, kept=kept
     ):
-        pitch = kept.pitch_of(chunk.size, fours)
+        pitch = kept.pitch_of(chunk.size)
         # Up to the map of the weights: behind the layers by four, or in their last place where that is free.
-        filtered = 4 * fours.quads + (chunk.size == 4 * fours.quads)
+        filtered = 4 * chunk.quads + (chunk.size == 4 * chunk.quads)
         add_recursions(chain, planes, maps, links, map_count=filtered, gain=1 - even, own=0.0, pitch=pitch)
         chain.add(
             "running_winner", [maps, best], groups=groups_for(planes.pixels),
-            uses=SHARED, phases=fours.phases, per_phase=fours.per_phase,
+            uses=SHARED, quads=chunk.quads,
             pixels=planes.pixels, pitch=pitch, layer_count=chunk.size, first_layer=chunk.first,
         )  # fmt: skip
     peaks, ranges = (chain.array(name, count * planes.pixels) for name, count in (("peaks", 3), ("ranges", 2)))

@@ -12,7 +12,7 @@ from chromaperture.matching.device.shader_text import shader
 from chromaperture.matching.device.workgroups import dispatch_size
 
 # How the invocations that share a path exchange their least cost, by what a device can do; see `real_time_chain.py`.
-Exchange = Literal["quad", "shared", "single"]
+Exchange = Literal["quad", "shared"]
 
 
 _LARGEST_BYTES = 128 * 2**20  # of an array: what every device with WebGPU takes, its default limit
@@ -23,8 +23,8 @@ class PlannedChain(Chain):
 
     Parameters
     ----------
-    exchange : {"quad", "shared", "single"}
-        ``quad``: the device has subgroups; ``shared``: it has none; ``single``: nor is it more than software.
+    exchange : {"quad", "shared"}
+        ``quad``: the device has subgroups; ``shared``: it has none.
 
     Attributes
     ----------
@@ -33,8 +33,9 @@ class PlannedChain(Chain):
     """
 
     def __init__(self, exchange: Exchange) -> None:
-        kind = "CPU" if exchange == "single" else "Unknown"
-        info = AdapterInfo("a browser's device", kind, "WebGPU", "", _LARGEST_BYTES // 1_000_000, exchange == "quad")
+        info = AdapterInfo(
+            "a browser's device", "Unknown", "WebGPU", "", _LARGEST_BYTES // 1_000_000, exchange == "quad"
+        )
         super().__init__(Device(info, None, exchange == "quad", False, _LARGEST_BYTES))
         self.values: dict[str, np.ndarray] = {}
 

@@ -41,10 +41,9 @@ from chromaperture.matching.views import ViewSpace
 from chromaperture.settings.methods import RealTimeConfig
 
 LABELLED = (*SHARED, "half_labels")  # functions of the stages that follow equal depth
-_AT_ONCE = 8  # samples of a line: `each` of ``smoothing_of_lines.wgsl``
 _LANES = 4  # invocations that share a path
 # Steps of a path that are read before they are needed. On an H200 a step took 0.7 us without.
-_AHEAD, _AHEAD_IN_SOFTWARE = 4, 1
+_AHEAD = 4
 
 
 def add_real_time(
@@ -80,7 +79,7 @@ def add_real_time(
     frame: dict[str, Any] = {"width": planes.width, "height": planes.height}
     at_once = cell_px == 1 and label_map.is_identity and len(labels_px) == len(layers_px)
     if cell_px == 1:
-        kept = Kept("likelihood", ("nats", "scores_nats"), LIKELIHOOD, any_order=False)
+        kept = Kept("likelihood", ("nats", "scores_nats"), LIKELIHOOD)
         correlated = add_correlation(
             chain, planes, layers_px, space.directions, config.correlation,
             pitch=pitch if at_once else len(layers_px), kept=kept if at_once else None,
@@ -144,22 +143,19 @@ def _add_paths(
         chain.array(name, planes.pixels * pitch // 2, np.uint32)
         for name in ("rightward", "leftward", "downward", "upward")
     ]
-    exchange, lanes = "lanes_quad", _LANES
-    if not chain.device.subgroups:  # barriers of a rasteriser in software take three times as long as the paths
-        exchange, lanes = ("lanes_single", 1) if chain.device.info.is_software else ("lanes_shared", _LANES)
-    ahead = _AHEAD_IN_SOFTWARE if chain.device.info.is_software else _AHEAD
+    exchange = "lanes_quad" if chain.device.subgroups else "lanes_shared"
     parts = path_parts(paths.jump_penalty)
     last_parts = 65535 / paths.jump_penalty  # what comes up the columns is not rounded on the CPU
     for direction, cost in enumerate(costs):
         along_row = direction < 2
         lines, rows = (planes.height, []) if along_row else (planes.width, costs[:2])
         chain.add(
-            "four_paths", [likelihood, planes.planes, planes.stats, cost, *rows], groups=(-(-lines // (64 // lanes)),),
+            "four_paths", [likelihood, planes.planes, planes.stats, cost, *rows], groups=(-(-lines // (64 // _LANES)),),
             uses=(*SHARED, exchange, "packed_costs", "own_of_rows" if along_row else "own_of_columns"),
             direction=direction, row_share=paths.row_share, guide_plane=planes.view_count * planes.pixels,
             pitch=pitch, jump=paths.jump_penalty, row_parts=parts, cost_parts=parts if direction < 3 else last_parts,
             edge_range=paths.edge_range, edge_floor=paths.edge_floor,
-            ahead=ahead, vectors=-(-pitch // (4 * lanes)), **size,
+            ahead=_AHEAD, vectors=-(-pitch // (4 * _LANES)), **size,
         )  # fmt: skip
     winner, places = chain.array("winner", 3 * planes.pixels), chain.array("places", 2 * planes.pixels)
     chain.add(
@@ -212,9 +208,6 @@ def add_recursions(
     """
     pitch = pitch or map_count
     frame: dict[str, Any] = {"width": planes.width, "height": planes.height, "gain": gain, "own": own}
-    if chain.device.info.is_software:
-        _add_recursions_of_lines(chain, planes, maps, links, pitch=pitch, **frame)
-        return maps
     between = chain.arrays.get(f"{maps.name}_x") or chain.array(f"{maps.name}_x", maps.size)
     for along_x, source, target in ((True, maps, between), (False, between, maps)):
         lines = planes.height if along_x else planes.width
@@ -223,18 +216,3 @@ def add_recursions(
             along_x=along_x, map_count=map_count, pitch=pitch, **frame,
         )  # fmt: skip
     return maps
-
-
-def _add_recursions_of_lines(
-    chain: Chain, planes: Planes, maps: Array, links: Array, *, pitch: int, **frame: Any
-) -> None:
-    together = 4 if pitch % 4 == 0 else 2 if pitch % 2 == 0 else 1
-    sets = {4: "maps_by_four", 2: "maps_by_two", 1: "maps_single"}[together]
-    lines = {True: planes.height, False: planes.width}  # along x, along y
-    blocks = max(lines[along_x] * -(-lines[not along_x] // _AT_ONCE) for along_x in lines)
-    incoming = chain.arrays.get(f"{maps.name}_in") or chain.array(f"{maps.name}_in", blocks * pitch)
-    for along_x, count in lines.items():
-        chain.add(
-            "smoothing_of_lines", [maps, links, incoming], groups=groups_for(count * pitch // together),
-            uses=(*SHARED, sets), along_x=along_x, map_count=pitch, together=together, **frame,
-        )  # fmt: skip

@@ -24,26 +24,20 @@ fn main(
         last = best[4u * pixels + i];
     }
     let start = i * pitch / 4u;
-    let quads = phases * per_phase;
     let of_weight = select(4u * quads, 4u * quads - 1u, layer_count < 4u * quads);  // the last map, no layer's
     let weight = maps[start + of_weight / 4u][of_weight % 4u];
-    for (var q = 0u; q < per_phase; q++) {
-        var fours: array<vec4f, phases>;
-        for (var f = 0u; f < phases; f++) {  // unrolled
-            fours[f] = maps[start + f * per_phase + q] / weight;
-        }
+    for (var q = 0u; q < quads; q++) {
+        let four = maps[start + q] / weight;
         for (var j = 0u; j < 4u; j++) {  // unrolled
-            for (var f = 0u; f < phases; f++) {  // unrolled
-                let c = phases * (4u * q + j) + f;  // `layer_of`, without its division
-                let here = select(-2.0e30, fours[f][j], c < layer_count);
-                let number = f32(first_layer + c);
-                let is_better = here > at;
-                after = select(after, here, number == layer + 1.0);
-                layer = select(layer, number, is_better);
-                before = select(before, last, is_better);
-                at = max(at, here);
-                last = select(last, here, c < layer_count);
-            }
+            let c = 4u * q + j;
+            let here = select(-2.0e30, four[j], c < layer_count);
+            let number = f32(first_layer + c);
+            let is_better = here > at;
+            after = select(after, here, number == layer + 1.0);
+            layer = select(layer, number, is_better);
+            before = select(before, last, is_better);
+            at = max(at, here);
+            last = select(last, here, c < layer_count);
         }
     }
     best[i] = layer;

@@ -4,7 +4,7 @@
 
 fn keep(pixel: u32, quad: u32, found: vec4f) {
     for (var j = 0u; j < 4u; j++) {
-        let layer = layer_of(quad, j);
+        let layer = 4u * quad + j;
         if (layer < layer_count) { score[pixel * pitch + first_layer + layer] = found[j]; }
     }
 }

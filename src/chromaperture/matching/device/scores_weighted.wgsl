@@ -5,7 +5,7 @@
 
 fn keep(pixel: u32, quad: u32, found: vec4f) {
     let weight = max(planes[(view_count + 1u) * width * height + pixel], least_weight);
-    let layers = vec4u(layer_of(quad, 0u), layer_of(quad, 1u), layer_of(quad, 2u), layer_of(quad, 3u));
+    let layers = 4u * quad + vec4u(0u, 1u, 2u, 3u);
     score[pixel * pitch / 4u + quad] = weight * select(vec4f(1.0), found, layers < vec4u(layer_count));
     if (layer_count == 4u * quads && quad == 0u) { score[pixel * pitch / 4u + quads] = vec4f(weight); }
 }

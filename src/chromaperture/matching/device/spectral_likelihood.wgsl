@@ -1,3 +1,19 @@
+// Sums over the invocations that share a window, through shared memory; all of them get the same sum.
+const lanes = 8u;
+
+var<workgroup> lane_sums: array<vec3f, 64>;
+var<private> lane_here: u32;
+
+fn sum_of_lanes(own: vec3f) -> vec3f {
+    workgroupBarrier();
+    lane_sums[lane_here] = own;
+    workgroupBarrier();
+    let first = lane_here - lane_here % lanes;
+    var sum = lane_sums[first];
+    for (var k = 1u; k < lanes; k++) { sum += lane_sums[first + k]; }
+    return sum;
+}
+
 // Log-likelihood of windows' spectra at every layer, for every slope; see `readable/spectral_likelihood.py`. The
 // invocations of a window share its frequencies. Colours correlate to 0.998. So a covariance is factored as L D L*, in
 // single precision exact to 1e-4, where its determinant written out would be off by 1 %; and of the colours' covariance

@@ -23,7 +23,7 @@ from chromaperture.matching.readable.spectral_likelihood import (
     LEAST_DETERMINANT,
 )
 
-_LANES = 8  # invocations of a window, of `sums_shared.wgsl`; `sums_single.wgsl` has one
+_LANES = 8  # invocations of a window
 
 
 @dataclass(frozen=True)
@@ -126,12 +126,11 @@ def add_likelihood(
     """
     slopes, node_count, layers, _, frequencies = powers.shape
     windows = nodes.size
-    single = chain.device.info.is_software  # barriers there take longer than a window
     by_slope = chain.array("by_slope", layers * slopes * windows)
     chain.add(
         "spectral_likelihood", [spectra, chain.constant("window_powers", powers), nodes, noise, by_slope],
-        groups=groups_for(slopes * windows, GROUP if single else GROUP // _LANES),
-        uses=("sums_single" if single else "sums_shared",), windows=windows, slopes=slopes, node_count=node_count,
+        groups=groups_for(slopes * windows, GROUP // _LANES),
+        windows=windows, slopes=slopes, node_count=node_count,
         layers=layers, frequencies=frequencies, rounds=source.config.rounds, first_rounds=FIRST_ROUNDS,
         channel_error=float(source.config.channel_error), first_correlation=FIRST_CORRELATION,
         least_amplitude=LEAST_AMPLITUDE, least_determinant=LEAST_DETERMINANT,

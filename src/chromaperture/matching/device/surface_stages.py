@@ -20,7 +20,6 @@ from chromaperture.settings.stages import SurfaceConfig
 
 AT_ONCE = 8  # neighbours that an invocation of a filter has: what they read overlaps
 LANES = 16  # invocations of a path; 8, 16, 32: 10, 8, 10 ms for 143 layers of 720x480 on an H200 (docs/gpu.md)
-LANES_IN_SOFTWARE = 4  # the fewer, the less they tell each other; 2 and 1 have too many layers each for its registers
 # Steps of a path that are read before they are needed, and the most layers that an invocation reads ahead; by hand.
 # On an H200 a step took 5 us without, and 1.3 us with it and 16 lanes (docs/gpu.md).
 AHEAD, LAYERS_AHEAD = 4, 72
@@ -62,7 +61,7 @@ def add_paths(
     layers_px: np.ndarray,
     *,
     config: SurfaceConfig,
-    lanes: int | None = None,
+    lanes: int = LANES,
     ahead: int | None = None,
 ) -> None:
     """Append `stages.aggregate_paths`: a dispatch for every direction.
@@ -76,9 +75,9 @@ def add_paths(
     layers_px : (count,) float, px
     config : SurfaceConfig
     lanes : int
-        Invocations that share a path; 1, 2, 4, ... 64. By default as many as suit the device.
+        Invocations that share a path; 1, 2, 4, ... 64.
     ahead : int
-        Steps of a path that are read before they are needed; by default as suits the device.
+        Steps of a path that are read before they are needed; by default as many as registers hold.
 
     Raises
     ------
@@ -88,10 +87,9 @@ def add_paths(
     if grid.layers > MOST_LAYERS:
         raise DeviceError(f"{grid.layers} labels are too many for the GPU, at most {MOST_LAYERS}; use --device cpu")
     penalties = penalties_of(config, layers_px)
-    lanes = lanes or (LANES_IN_SOFTWARE if chain.device.info.is_software else LANES)
     own_layers = math.ceil(grid.layers / lanes)
     if ahead is None:
-        ahead = 1 if chain.device.info.is_software else max(1, min(AHEAD, LAYERS_AHEAD // own_layers))
+        ahead = max(1, min(AHEAD, LAYERS_AHEAD // own_layers))
     # Layers within which a change costs less than a jump: nothing comes from further away.
     reach = math.ceil(penalties.jump / penalties.slope_per_layer / own_layers)
     for i, (dx, dy) in enumerate((sign * x, sign * y) for x, y in LINES[: config.paths // 2] for sign in (1, -1)):
@@ -131,7 +129,7 @@ def add_gaussian(
         What is filtered instead; ``values`` is only written.
     """
     height, width = shape
-    # A constant array that is indexed by a variable is copied for every invocation: half the time of a software device.
+    # An array: a shader's constant that is indexed by a variable is copied for every invocation.
     filter_taps = chain.constant(f"taps_of_{values.name}", np.concatenate([taps, np.zeros(AT_ONCE - 1)]))
     for before, after, along_x in ((source or values, between, True), (between, values, False)):
         lines, across = (height, width) if along_x else (width, height)

@@ -29,7 +29,6 @@ from chromaperture.settings.stages import ViewsConfig
 SHARED = ("indexing", "shared")
 _PARTS = 256  # most workgroups that sum a picture up; one workgroup sums their sums
 _MOST_CONSTANTS = 24  # pixels of a Gaussian whose weights the shader names; more would be long to compile
-_SOFTWARE_PARTS = 16  # there the barriers of a workgroup take as long as to read 3000 pixels
 SAMPLES_AT_ONCE = 8  # that `guide_scale.wgsl` reads before it counts them; by hand
 STATS = 16  # numbers of `shared.wgsl`'s `stats`
 _USABLE_AT, _VARIANCE_AT = 4, 8
@@ -147,12 +146,12 @@ def check_stats(stats: np.ndarray, view_count: int) -> None:
         raise constant_view()
 
 
-def _parts(chain: Chain, pixels: int) -> int:
-    return min(_SOFTWARE_PARTS if chain.device.info.is_software else _PARTS, -(-pixels // 256))
+def _parts(pixels: int) -> int:
+    return min(_PARTS, -(-pixels // 256))
 
 
 def _add_light(chain: Chain, image: Array, pixels: int, space: ViewSpace) -> Array:
-    parts = _parts(chain, pixels)
+    parts = _parts(pixels)
     stats, sums = chain.array("stats", STATS), chain.array("light_parts", 4 * parts)
     numbers: dict[str, Any] = {"pixels": pixels, "part_count": parts, "saturation": SATURATION}
     chain.add("light", [image, sums], groups=(parts,), uses=(*SHARED, "light_reduction"), **numbers)
@@ -193,7 +192,7 @@ def _add_smoothing(
     _add_blur(chain, views or raw, planes, taps, first=0, count=count, whole=whole)
     taps = _smoothing_taps(GUIDE_SIGMA_PX)
     _add_blur(chain, raw, planes, taps, first=count, count=1)
-    parts = _parts(chain, planes.pixels)
+    parts = _parts(planes.pixels)
     sums = chain.array("variance_parts", 6 * parts)
     numbers: dict[str, Any] = {"pixels": planes.pixels, "part_count": parts, "view_count": count}
     chain.add("variance", [planes.planes, sums], groups=(parts,), uses=(*SHARED, "variance_reduction"), **numbers)
