@@ -10,7 +10,6 @@ import numpy as np
 from chromaperture.color.lens_shift import LensMoves
 from chromaperture.color.visibility import FEWEST, OCCLUSION_PX, RADIUS_PX, RIDGE, SAME_SURFACE_PX, STILL
 from chromaperture.matching.device.device import Array, Chain
-from chromaperture.matching.device.view_stages import SHARED
 from chromaperture.matching.device.workgroups import groups_for
 
 _PLACES, _TAPS = 32, 8  # of OpenCV's Lanczos filter: places between two pixels, and samples
@@ -48,20 +47,19 @@ def add_alignment(chain: Chain, image: Array, disparity: Array, size: tuple[int,
     shifted, visible = chain.array("shifted", 3 * pixels), chain.array("visible", pixels, np.uint32)
     order = np.argsort(np.linalg.norm(alignment.directions, axis=1), kind="stable")
     views: dict[str, Any] = {"directions": np.ravel(alignment.directions), "still": STILL, **frame}
-    chain.add("fill_zero", [nearest], groups=groups_for(nearest.size), uses=SHARED, size=nearest.size)
-    with_views = (*SHARED, "channel_views")
-    chain.add("depth_buffer", [filled, nearest], groups=groups_for(pixels), uses=with_views, **views)
+    chain.add("fill_zero", [nearest], groups=groups_for(nearest.size), size=nearest.size)
+    chain.add("depth_buffer", [filled, nearest], groups=groups_for(pixels), **views)
     lens = alignment.lens
     of_lens = {} if lens is None else _constants_of(lens)
     tables = [] if lens is None else [chain.constant("lens", lens.table), chain.constant("lanczos", lanczos_weights())]
     chain.add(
         "channels_shifted", [image, filled, nearest, shifted, visible, *tables], groups=groups_for(pixels),
-        uses=(*with_views, "cubic_samples", "moved_by_disparity" if lens is None else "moved_by_lens"),
+        uses=("moved_by_disparity" if lens is None else "moved_by_lens",),
         occlusion_px=OCCLUSION_PX, **views, **of_lens,
     )  # fmt: skip
     color = chain.array("color", 3 * pixels)
     chain.add(
-        "hidden_filled", [shifted, visible, filled, color], groups=groups_for(pixels), uses=SHARED,
+        "hidden_filled", [shifted, visible, filled, color], groups=groups_for(pixels),
         order=[float(k) for k in order], gains=np.ravel(alignment.gains), radius_px=RADIUS_PX,
         same_surface_px=float(SAME_SURFACE_PX), fewest=float(FEWEST), ridge=RIDGE, **frame,
     )  # fmt: skip
@@ -76,10 +74,10 @@ def _add_filled(chain: Chain, disparity: Array, size: tuple[int, int], step: int
     few_tall, few_wide = (len(range(step // 2, side, step)) for side in size)
     of_few: dict[str, Any] = {"width": size[1], "spacing": step, "few_tall": few_tall, "few_wide": few_wide}
     few, few_filled = (chain.array(name, few_tall * few_wide) for name in ("few", "few_filled"))
-    chain.add("every_nth", [disparity, few], groups=groups_for(few.size), uses=SHARED, **of_few)
+    chain.add("every_nth", [disparity, few], groups=groups_for(few.size), **of_few)
     _add_nearest(chain, few, few_filled, (few_tall, few_wide))
     chain.add(
-        "filled_from_few", [disparity, few_filled, filled], groups=groups_for(filled.size), uses=SHARED,
+        "filled_from_few", [disparity, few_filled, filled], groups=groups_for(filled.size),
         height=size[0], **of_few,
     )  # fmt: skip
     return filled
@@ -89,8 +87,8 @@ def _add_nearest(chain: Chain, values: Array, filled: Array, size: tuple[int, in
     """Add the value of the nearest known pixel."""
     frame: dict[str, Any] = {"width": size[1], "height": size[0]}
     rows = chain.array("nearest_rows", values.size, np.int32)
-    chain.add("nearest_rows", [values, rows], groups=groups_for(size[1]), uses=SHARED, **frame)
-    chain.add("nearest_known", [values, rows, filled], groups=groups_for(values.size), uses=SHARED, **frame)
+    chain.add("nearest_rows", [values, rows], groups=groups_for(size[1]), **frame)
+    chain.add("nearest_known", [values, rows, filled], groups=groups_for(values.size), **frame)
 
 
 def _constants_of(lens: LensMoves) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from chromaperture.matching.device.correlation_stages import add_samples, add_samples_y, chunks_of
 from chromaperture.matching.device.device import Array, Chain
-from chromaperture.matching.device.view_stages import GUIDE_SCALE, SHARED, Planes
+from chromaperture.matching.device.view_stages import GUIDE_SCALE, Planes
 from chromaperture.matching.device.workgroups import groups_for
 from chromaperture.matching.logarithm import LOGARITHM
 from chromaperture.matching.readable.correlation import (
@@ -44,7 +44,7 @@ def add_cell_planes(chain: Chain, planes: Planes) -> Planes:
     tall, wide, count = -(-planes.height // 2), -(-planes.width // 2), planes.view_count + 2
     cells = chain.array("cell_planes", count * tall * wide)
     chain.add(
-        "cell_planes", [planes.planes, cells], groups=groups_for(cells.size), uses=SHARED,
+        "cell_planes", [planes.planes, cells], groups=groups_for(cells.size),
         plane_count=count, width=planes.width, height=planes.height, cells_wide=wide, cells_tall=tall,
     )  # fmt: skip
     return Planes(cells, planes.stats, None, wide, tall, planes.view_count)
@@ -82,7 +82,7 @@ def add_cell_scores(
         chain.add(
             "cell_scores", [samples, chain.constant(f"places{number}", chunk.places), planes.stats, score, *further],
             groups=groups_for(-(-cells.height // _CELLS) * -(-cells.width // 2) * chunk.size),
-            uses=(*SHARED, "cells_three" if three else "cells_two"), views=planes.view_count,
+            uses=("cells_three" if three else "cells_two",), views=planes.view_count,
             cells_each=_CELLS, cells_wide=cells.width, cells_tall=cells.height,
             entry_count=len(chunk.phases_x), phase_count=len(chunk.phases_y), layer_count=chunk.size,
             first_layer=chunk.first, all_layers=len(layers_px), reach=WINDOW_REACH_PX,
@@ -91,7 +91,7 @@ def add_cell_scores(
         )  # fmt: skip
     if not three:
         chain.add(
-            "own_sign", [score], groups=groups_for(cells.pixels), uses=SHARED,
+            "own_sign", [score], groups=groups_for(cells.pixels),
             cell_count=cells.pixels, all_layers=len(layers_px), contrary=float(SCORE_PARTS * CONTRARY),
         )  # fmt: skip
     return score
@@ -113,7 +113,7 @@ def add_label_likelihood(
     likelihood = chain.array("likelihood", cells.pixels * pitch)
     chain.add(
         "label_likelihood", [score, labels, cells.planes, likelihood], groups=groups_for(likelihood.size // 4),
-        uses=(*SHARED, "half_labels", "nats"), width=cells.width, height=cells.height, view_count=cells.view_count,
+        width=cells.width, height=cells.height, view_count=cells.view_count,
         all_layers=len(layers_px), label_count=len(labels_px), pitch=pitch,
         parts=(len(labels_px) - 1) // (len(layers_px) - 1), first_px=float(layers_px[0]),
         layer_step_px=float(layers_px[1] - layers_px[0]), **LIKELIHOOD,
@@ -127,7 +127,7 @@ def add_enlarged_cells(chain: Chain, planes: Planes, cells: Planes, surface: Arr
     enlarged = chain.array("surface_enlarged", 4 * planes.pixels)
     chain.add(
         "cells_enlarged", [surface, planes.planes, planes.stats, enlarged], groups=groups_for(planes.pixels),
-        uses=(*SHARED, "between"), width=planes.width, height=planes.height, half_width=cells.width, jump_px=JUMP_PX,
+        width=planes.width, height=planes.height, half_width=cells.width, jump_px=JUMP_PX,
         guide_start=planes.view_count * planes.pixels, guide_scale=GUIDE_SCALE,
     )  # fmt: skip
     return enlarged

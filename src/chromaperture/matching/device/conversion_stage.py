@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from chromaperture.matching.device.device import Array, Chain
-from chromaperture.matching.device.view_stages import SHARED
 from chromaperture.matching.device.workgroups import groups_for
 
 
@@ -47,7 +46,7 @@ def add_conversion(chain: Chain, disparity: Array, sigma: Array, conversion: Con
     chain.add(
         "conversion",
         [disparity, sigma, chain.constant("fields", fields), chain.constant("curve", table), *outputs],
-        groups=groups_for(disparity.size), uses=(*SHARED, uses), pixels=disparity.size, table_count=count, **of_fields,
+        groups=groups_for(disparity.size), uses=(uses,), pixels=disparity.size, table_count=count, **of_fields,
         first_px=float(curve.first_px), last_px=float(curve.last_px), per_px=(count - 1) / span if count else 0.0,
         low_px=float(curve.low_px), high_px=float(curve.high_px), slope=slope, slope_count=len(slope),
         has_errors=len(curve.errors) > 0, max_depth_mm=float(conversion.max_depth_mm),

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from chromaperture.matching.device.device import Array, Chain
-from chromaperture.matching.device.view_stages import SHARED, Planes
+from chromaperture.matching.device.view_stages import Planes
 from chromaperture.matching.device.workgroups import GROUP, groups_for
 from chromaperture.matching.readable.correlation import RELATIVE_EPSILON, SAMPLING, padding
 from chromaperture.matching.whole_light import whole_taps
@@ -204,13 +204,13 @@ def add_correlation(
         frame: dict[str, Any] = {"row_count": tall, "columns": wide, "entry_count": entries, **window}
         block, blocks = _even_blocks(wide + reach)
         chain.add(
-            "windows_x", [samples, windows, apart_x], groups=groups_for(tall * blocks * entries), uses=SHARED,
+            "windows_x", [samples, windows, apart_x], groups=groups_for(tall * blocks * entries),
             block=block, deviation_unit=unit, **frame,
         )  # fmt: skip
         block, blocks = _even_blocks(tall + reach)
         chain.add(
             "windows_y", [windows, taps_x, taps_y, planes.stats, apart_y, gains],
-            groups=groups_for(wide * blocks * entries), uses=SHARED,
+            groups=groups_for(wide * blocks * entries),
             relative_epsilon=RELATIVE_EPSILON, block=block, deviation_unit=unit, **frame,
         )  # fmt: skip
         layers: dict[str, Any] = {"quads": quads[number], "entry_count": entries, **size, **window}
@@ -222,10 +222,9 @@ def add_correlation(
         }  # fmt: skip
         along_x, along_y = [apart_x, places, ahead, covariances], [covariances, places, apart_y, gains, ahead, volume]
         along_y += mask
-        used: tuple[str, ...] = (*SHARED, pairs)
         groups = groups_for(invocations[number][0])
-        chain.add("products_x", along_x, groups=groups, uses=used, block=block_x, **layers)
-        groups, used = groups_for(invocations[number][1]), (*used, *kept.uses)
+        chain.add("products_x", along_x, groups=groups, uses=(pairs,), block=block_x, **layers)
+        groups, used = groups_for(invocations[number][1]), (pairs, *kept.uses)
         chain.add("correlation", along_y, groups=groups, uses=used, block=block_y, **layers, **score)
         yield volume, chunk
 
@@ -251,7 +250,7 @@ def add_samples(
     taps_y = add_samples_y(chain, planes, chunk, number, samples_y, margin=0, pad_y=pad_y, whole=whole)
     taps_x = chain.constant(f"taps_x{number}", chunk.phases_x)
     chain.add(
-        "sample_x", [samples_y, taps_x, samples], groups=groups_for(tall * -(-wide // _EACH) * entries), uses=SHARED,
+        "sample_x", [samples_y, taps_x, samples], groups=groups_for(tall * -(-wide // _EACH) * entries),
         width=planes.width, height=planes.height, pad_y=pad_y, phase_count=len(chunk.phases_y), whole=whole,
         each=_EACH, pad_x=pad_x, entry_count=entries,
     )  # fmt: skip
@@ -266,7 +265,7 @@ def add_samples_y(
     taps_y = chain.constant(f"taps_y{number}", chunk.phases_y)
     chain.add(
         "sample_y", [planes.planes, taps_y, planes.stats, samples_y],
-        groups=groups_for(-(-tall // _EACH) * wide * phases), uses=SHARED, width=planes.width, height=planes.height,
+        groups=groups_for(-(-tall // _EACH) * wide * phases), width=planes.width, height=planes.height,
         margin=margin, pad_y=pad_y, phase_count=phases, whole=whole, each=_EACH,
     )  # fmt: skip
     return taps_y

@@ -52,7 +52,7 @@ def add_evidence(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
         raise DeviceError(f"{lists} bands of pairs at {len(plan.layers_px)} layers are too many for the GPU")
     chain.add(
         "pair_evidence", [correlation, chain.constant("places", plan.places), unexplained],
-        groups=groups_for(samples, 1), uses=("correlations",), samples=samples, count=len(plan.layers_px),
+        groups=groups_for(samples, 1), samples=samples, count=len(plan.layers_px),
         computed=len(plan.computed_px),
         pairs=len(pairs), primary_pairs=len(plan.source.blur.pairs), of_all_pairs=plan.parts[0].end,
         bands=len(config.bands_px),
@@ -85,7 +85,7 @@ def add_transform(
     lines_of_group = max(1, min(group_size // most_butterflies, MOST_TRANSFORMED // span))
     chain.add(
         stage, [_factors(chain, span), *arrays], groups=groups_for(lines, lines_of_group),
-        uses=("indexing", "fourier"), span=span, lines=lines, lines_of_group=lines_of_group, group_size=group_size,
+        span=span, lines=lines, lines_of_group=lines_of_group, group_size=group_size,
         passes=len(radices), radices=sum(radix << 8 * i for i, radix in enumerate(radices)), last_radix=radices[-1],
         backwards=backwards, beside_lines=beside_lines, **constants,
     )  # fmt: skip
@@ -141,11 +141,10 @@ def _add_spectra(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
         chain.add(
             "tile_smoothing", [before, taps, after],
             groups=groups_for(pictures * (size * -(-columns // FEW) if along_x else columns * -(-size // FEW))),
-            uses=("indexing",),
             pictures=pictures, size=size, reach=reach, along_x=along_x, is_spectrum=not along_x,
         )  # fmt: skip
     chain.add(
-        "tile_signal", [power, noise, signal], groups=groups_for(pictures * size * columns), uses=("indexing",),
+        "tile_signal", [power, noise, signal], groups=groups_for(pictures * size * columns),
         pictures=pictures, frequencies=size * columns,
     )  # fmt: skip
     return spectra, signal
@@ -167,7 +166,7 @@ def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: 
     of_pairs = chain.array("pair_spectra", 4 * tiles * len(all_pairs) * span * (span // 2))
     chain.add(
         "pair_spectra", [spectra, signal, chain.constant("low_pass", low_pass), of_pairs],
-        groups=groups_for(of_pairs.size // 4), uses=("indexing",), tiles=tiles, pair_count=len(all_pairs), span=span,
+        groups=groups_for(of_pairs.size // 4), tiles=tiles, pair_count=len(all_pairs), span=span,
         pairs=sum((a | b << 2) << 4 * i for i, (a, b) in enumerate(all_pairs)),
     )  # fmt: skip
     constants = dict(
@@ -189,7 +188,7 @@ def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: 
             _add_windows(chain, plan, part, made, constants["band_taps"])
             if part is in_focus:
                 chain.add(
-                    "band_powers", [made["products"], seen], groups=groups_for(seen.size // 2), uses=("indexing",),
+                    "band_powers", [made["products"], seen], groups=groups_for(seen.size // 2),
                     windows=seen.size // 2,
                 )  # fmt: skip
             else:
@@ -267,7 +266,7 @@ def _add_views(
     chain.add(
         "tiles_joined",
         [made["tile_views"], constants["across"], constants["down"], constants["starts"], made["joined"]],
-        groups=groups_for(sizes.layers * sizes.pairs * height * width), uses=("indexing",), height=height, width=width,
+        groups=groups_for(sizes.layers * sizes.pairs * height * width), height=height, width=width,
         layers_of_round=sizes.layers, pair_count=sizes.pairs, tiles=sizes.tiles, middle=sizes.middle,
         node_columns=len(plan.nodes.across.starts),
     )  # fmt: skip
@@ -285,16 +284,16 @@ def _add_windows(chain: Chain, plan: EvidencePlan, sizes: RoundSizes, made: dict
     )
     chain.add(
         "bands_rows", [made["joined"], band_taps, made["smooth_rows"]],
-        groups=groups_for(pictures * height * -(-width // AT_ONCE)), uses=("indexing", "eight_sums"), **same,
+        groups=groups_for(pictures * height * -(-width // AT_ONCE)), **same,
     )  # fmt: skip
     chain.add(
         "bands_columns", [made["joined"], made["smooth_rows"], band_taps, made["band_views"]],
-        groups=groups_for(pictures * -(-height // AT_ONCE) * width), uses=("indexing", "eight_sums"), bands=sizes.bands,
+        groups=groups_for(pictures * -(-height // AT_ONCE) * width), bands=sizes.bands,
         fine=smooths.fine, coarse=smooths.coarse, **same,
     )  # fmt: skip
     chain.add(
         "band_products", [made["band_views"], made["products"]],
-        groups=groups_for(planes * -(-small[0] // FEW) * small[1]), uses=("indexing",), height=height, width=width,
+        groups=groups_for(planes * -(-small[0] // FEW) * small[1]), height=height, width=width,
         planes=planes,
     )  # fmt: skip
     rest_px = math.sqrt(max(config.window_sigma_px**2 - SAMPLING_PX**2, 0.01))  # as `blur_evidence`
@@ -322,7 +321,7 @@ def _add_correlation(
     chain.add(
         "band_correlation", [products, *inputs, correlation],
         groups=groups_for(sizes.bands * sizes.layers * sizes.pairs * height * width),
-        uses=("indexing", "correlations"), height=height, width=width,
+        height=height, width=width,
         bands=sizes.bands, layers_of_round=sizes.layers, pair_count=sizes.pairs, first_layer=sizes.part.begin,
         all_pairs=len(plan.source.all_pairs), least_power=float(LEAST_POWER), least_seen=float(LEAST_SEEN),
         allowed_growth=config.allowed_growth, takes_off=int(config.allowed_growth > 0),

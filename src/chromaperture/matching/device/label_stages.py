@@ -60,7 +60,7 @@ def add_labels(
     )  # fmt: skip
     chain.add(
         "labels_of_samples", [unexplained, _label_map(chain, source.label_map, plan.layers_px), at_labels],
-        groups=groups_for(samples[0] * samples[1], 1), uses=("layer_polynomial", "label_polynomial"), **same,
+        groups=groups_for(samples[0] * samples[1], 1), **same,
         **_polynomial(plan.layers_px, labels_px, source.label_map),
     )  # fmt: skip
     arrays, uses = [at_labels, counted, likelihood], "windows_none"
@@ -106,7 +106,7 @@ def add_views_evidence(
         assert score is not None
         chain.add(
             "labels_read", [score, _label_map(chain, label_map, layers_px), usable, likelihood],
-            groups=groups_for(shape[0] * shape[1], 1), uses=("layer_polynomial", "label_polynomial"),
+            groups=groups_for(shape[0] * shape[1], 1),
             height=shape[0], width=shape[1],
             count=len(labels_px), factors=len(space.rows) - 1.0, views_of_score=len(space.rows), is_first=i == 0,
             most_explained=MOST_EXPLAINED, weight=1 / len(source.spaces),

@@ -13,7 +13,7 @@ import numpy as np
 from chromaperture.matching.device.correlation_stages import Kept, add_correlation
 from chromaperture.matching.device.device import Array, Chain
 from chromaperture.matching.device.real_time_chain import add_links, add_recursions
-from chromaperture.matching.device.view_stages import SHARED, Planes, add_views
+from chromaperture.matching.device.view_stages import Planes, add_views
 from chromaperture.matching.device.workgroups import groups_for
 from chromaperture.matching.error_bar import CONFIDENCE_SCALE_PX, MAX_SIGMA_PX, independent_samples, sigma_of_range
 from chromaperture.matching.paper import EDGE_REACH_PX
@@ -60,12 +60,12 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
         add_recursions(chain, planes, maps, links, map_count=filtered, gain=1 - even, own=0.0, pitch=pitch)
         chain.add(
             "running_winner", [maps, best], groups=groups_for(planes.pixels),
-            uses=SHARED, quads=chunk.quads,
+            quads=chunk.quads,
             pixels=planes.pixels, pitch=pitch, layer_count=chunk.size, first_layer=chunk.first,
         )  # fmt: skip
     peaks, ranges = (chain.array(name, count * planes.pixels) for name, count in (("peaks", 3), ("ranges", 2)))
     chain.add(
-        "peak", [best, peaks], groups=groups_for(planes.pixels), uses=SHARED,
+        "peak", [best, peaks], groups=groups_for(planes.pixels),
         pixels=planes.pixels, view_count=planes.view_count, total_layers=len(layers_px), first_px=first, step_px=step,
         samples=independent_samples(config), sigma_scale=config.sigma_scale, range_sigma_px=sigma_of_range(layers_px),
         max_sigma_px=MAX_SIGMA_PX,
@@ -76,7 +76,7 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
         "reach": EDGE_REACH_PX,
         "side": 2 * EDGE_REACH_PX + 1,
     }
-    chain.add("peak_range_x", [peaks, ranges], groups=groups_for(planes.pixels), uses=SHARED, **of_square)
+    chain.add("peak_range_x", [peaks, ranges], groups=groups_for(planes.pixels), **of_square)
     hue_share = config.hue_share * mixed_share(space.rows)
     if hue_share > 0:
         unlike, cells = _add_unlike_share(chain, planes, peaks, space.directions)
@@ -85,7 +85,7 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
     outputs = [chain.array(name, planes.pixels) for name in ("disparity", "sigma", "confidence")]
     widest = sigma_of_range(layers_px)
     chain.add(
-        "peak_range", [peaks, ranges, unlike, *outputs], groups=groups_for(planes.pixels), uses=(*SHARED, "finishing"),
+        "peak_range", [peaks, ranges, unlike, *outputs], groups=groups_for(planes.pixels),
         edge_share=config.edge_share, floor_px=config.floor_px / moved_px(space.directions),
         hue_px=hue_share * widest, range_sigma_px=widest, max_sigma_px=MAX_SIGMA_PX,
         confidence_scale_px=CONFIDENCE_SCALE_PX, **cells, **of_square,
@@ -100,12 +100,12 @@ def _add_unlike_share(
     count = cells["columns"] * cells["rows"]
     moments, share = chain.array("unlike_moments", 8 * count), chain.array("unlike_share", count)
     chain.add(
-        "unlike_moments", [planes.planes, peaks, moments], groups=groups_for(count), uses=SHARED,
+        "unlike_moments", [planes.planes, peaks, moments], groups=groups_for(count),
         width=planes.width, height=planes.height, view_count=planes.view_count, directions=np.ravel(directions),
         cell=CELL_PX, **cells,
     )  # fmt: skip
     chain.add(
-        "unlike_share", [moments, share], groups=groups_for(count), uses=SHARED,
+        "unlike_share", [moments, share], groups=groups_for(count),
         view_count=planes.view_count, side=WINDOW_CELLS, least_variance=LEAST_VARIANCE, **cells,
     )  # fmt: skip
     return share, cells

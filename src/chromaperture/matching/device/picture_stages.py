@@ -9,7 +9,6 @@ import numpy as np
 
 from chromaperture.color.image import SATURATION
 from chromaperture.matching.device.device import Array, Chain
-from chromaperture.matching.device.view_stages import SHARED
 from chromaperture.matching.device.workgroups import groups_for
 
 ROW_PX = 64  # a row of a picture that WebGPU copies to or from a texture begins at a multiple of 256 bytes
@@ -39,7 +38,7 @@ def add_light_of_counts(chain: Chain, size: tuple[int, int], light: np.ndarray) 
     counts, form = chain.array("counts", height * row_pitch(width), np.uint32), chain.array("form", 4, np.uint32)
     chain.add(
         "light_of_counts", [counts, form, chain.constant("light", light), image],
-        groups=groups_for(height * width), uses=SHARED, width=width, height=height, saturation=SATURATION,
+        groups=groups_for(height * width), width=width, height=height, saturation=SATURATION,
     )  # fmt: skip
     return image
 
@@ -72,7 +71,7 @@ def add_sparse_maps(
     sparse = chain.array("sparse", 3 * down * across, np.uint32)
     chain.add(
         "sparse_maps", [*_shown(chain, maps), sparse], groups=groups_for(down * across),
-        uses=(*SHARED, "aligned_light"), step=step, sparse_width=across, sparse_height=down,
+        step=step, sparse_width=across, sparse_height=down,
         **_seen(size, shifts, balance),
     )  # fmt: skip
     return down, across
@@ -105,7 +104,7 @@ def add_colored_maps(
     look, picture = chain.array("look", 4), chain.array("picture", height * pitch, np.uint32)
     chain.add(
         "colored_maps", [*_shown(chain, maps), chain.constant("colors", packed.ravel()), look, picture],
-        groups=groups_for(height * width), uses=(*SHARED, "aligned_light"), pitch=pitch,
+        groups=groups_for(height * width), pitch=pitch,
         is_depth=most_relative is not None, most_relative=float(most_relative or 0), **_seen(size, shifts, balance),
     )  # fmt: skip
 

@@ -15,7 +15,7 @@ from chromaperture.matching.device.cell_stages import (
 )
 from chromaperture.matching.device.correlation_stages import Kept, add_correlation
 from chromaperture.matching.device.device import Array, Chain
-from chromaperture.matching.device.view_stages import GUIDE_SCALE, SHARED, Planes, add_halved_views, add_two_views
+from chromaperture.matching.device.view_stages import GUIDE_SCALE, Planes, add_halved_views, add_two_views
 from chromaperture.matching.device.workgroups import groups_for
 from chromaperture.matching.error_bar import CONFIDENCE_SCALE_PX, MAX_SIGMA_PX, sigma_of_range
 from chromaperture.matching.labels import MOST_APART_PX, LabelMap, labels_between
@@ -40,7 +40,6 @@ from chromaperture.matching.readable.place import (
 from chromaperture.matching.views import ViewSpace
 from chromaperture.settings.methods import RealTimeConfig
 
-LABELLED = (*SHARED, "half_labels")  # functions of the stages that follow equal depth
 _LANES = 4  # invocations that share a path
 # Steps of a path that are read before they are needed. On an H200 a step took 0.7 us without.
 _AHEAD = 4
@@ -107,10 +106,10 @@ def add_real_time(
     reach = -(-EDGE_REACH_PX // cell_px)
     between: dict[str, Any] = {"first_px": first, "step_px": step, "reach": reach, **frame, **of_labels}
     quads = -(-planes.width // 4) * planes.height
-    chain.add("surface", [smoothed, labels, ranges], groups=groups_for(quads), uses=LABELLED, **between)
+    chain.add("surface", [smoothed, labels, ranges], groups=groups_for(quads), **between)
     chain.add(
         "surface_range", [ranges, smoothed, winner, labels, planes.planes, surface],
-        groups=groups_for(planes.width * -(-planes.height // 4)), uses=LABELLED,
+        groups=groups_for(planes.width * -(-planes.height // 4)),
         layer_count=len(labels_px), widest_px=sigma_of_range(labels_px), scatter=SCATTER, bias=BIAS,
         widest_share=WIDEST_SHARE, seen_reach=SEEN_REACH, mask_plane=(planes.view_count + 1) * planes.pixels,
         edge_share=EDGE_SHARE, **between,
@@ -124,7 +123,7 @@ def add_real_time(
     outputs = [chain.array(name, height * width, np.float32) for name in ("disparity", "sigma", "confidence")]
     chain.add(
         "enlarge", [surface, whole.full_guide, whole.stats, labels, lacking, *outputs],
-        groups=groups_for(height * width), uses=(*SHARED, "between", "finishing"), guide_start=0,
+        groups=groups_for(height * width), guide_start=0,
         guide_scale=GUIDE_SCALE + 1, width=width, height=height, half_width=whole.width, jump_px=JUMP_PX,
         labelled=not label_map.is_identity, range_sigma_px=sigma_of_range(config.layers.values_px),
         floor_px=config.floor_px / moved, max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX, **cells,
@@ -151,7 +150,7 @@ def _add_paths(
         lines, rows = (planes.height, []) if along_row else (planes.width, costs[:2])
         chain.add(
             "four_paths", [likelihood, planes.planes, planes.stats, cost, *rows], groups=(-(-lines // (64 // _LANES)),),
-            uses=(*SHARED, exchange, "packed_costs", "own_of_rows" if along_row else "own_of_columns"),
+            uses=(exchange, "packed_costs", "own_of_rows" if along_row else "own_of_columns"),
             direction=direction, row_share=paths.row_share, guide_plane=planes.view_count * planes.pixels,
             pitch=pitch, jump=paths.jump_penalty, row_parts=parts, cost_parts=parts if direction < 3 else last_parts,
             edge_range=paths.edge_range, edge_floor=paths.edge_floor,
@@ -160,13 +159,13 @@ def _add_paths(
     winner, places = chain.array("winner", 3 * planes.pixels), chain.array("places", 2 * planes.pixels)
     chain.add(
         "path_winner", [likelihood, *costs, winner, places], groups=groups_for(planes.pixels),
-        uses=(*SHARED, "packed_costs"), row_parts=parts, cost_parts=last_parts,
+        row_parts=parts, cost_parts=last_parts,
         view_count=planes.view_count, temperature=paths.temperature,
         farthest_of_five=FARTHEST_OF_FIVE, least_unexplained=LEAST_UNEXPLAINED,
         least_unexplained_of_three=LEAST_UNEXPLAINED_OF_THREE, least_information=LEAST_INFORMATION, **size, **of_layers,
     )  # fmt: skip
     chain.add(
-        "beside_nearer", [winner, places], groups=groups_for(planes.pixels), uses=SHARED,
+        "beside_nearer", [winner, places], groups=groups_for(planes.pixels),
         nearer_reach=NEARER_REACH, weight=BESIDE_NEARER, **size,
     )  # fmt: skip
     return winner, places
@@ -184,7 +183,7 @@ def add_links(chain: Chain, planes: Planes, layers: Array, *, even: float, edge_
     """Add the weights of the links between neighbours, (2, h, w); ``layers`` is read only where ``by_layer``."""
     links = chain.array("links", 2 * planes.pixels)
     chain.add(
-        "links", [planes.planes, planes.stats, layers, links], groups=groups_for(planes.pixels), uses=SHARED,
+        "links", [planes.planes, planes.stats, layers, links], groups=groups_for(planes.pixels),
         width=planes.width, height=planes.height, guide_plane=planes.view_count * planes.pixels,
         even_link=even, edge_range=edge_range, by_layer=by_layer,
     )  # fmt: skip
@@ -212,7 +211,7 @@ def add_recursions(
     for along_x, source, target in ((True, maps, between), (False, between, maps)):
         lines = planes.height if along_x else planes.width
         chain.add(
-            "smoothing", [source, links, target], groups=groups_for(lines * map_count, 8), uses=SHARED,
+            "smoothing", [source, links, target], groups=groups_for(lines * map_count, 8),
             along_x=along_x, map_count=map_count, pitch=pitch, **frame,
         )  # fmt: skip
     return maps

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from chromaperture.matching.device.device import Array, Chain, Device
-from chromaperture.matching.device.view_stages import SHARED
 from chromaperture.matching.device.workgroups import groups_for
 
 LEAST_COVER = 1e-3  # below it a pixel stays darker, in place of a division by nothing
@@ -111,12 +110,9 @@ class RefocusChain:
         """Put the dispatches of these layers in the place of the last ones."""
         chain, arrays = self.chain, self.chain.arrays
         chain.dispatches.clear()
-        uses = (*SHARED, "refocus_layer")
         in_picture: dict[str, Any] = {"width": self.size[1]}
         for name in ("before", "total"):
-            chain.add(
-                "fill_zero", [arrays[name]], groups=groups_for(arrays[name].size), uses=SHARED, size=arrays[name].size
-            )
+            chain.add("fill_zero", [arrays[name]], groups=groups_for(arrays[name].size), size=arrays[name].size)
         most = max((int(np.prod(layer.cells)) for layer in layers), default=1)
         cells, blurred = (self._array(name, 4 * most) for name in ("cells", "blurred"))
         facts: list[Array] = []
@@ -135,11 +131,11 @@ class RefocusChain:
             kernel = chain.constant(f"kernel{number}", layer.kernel)
             groups = groups_for(int(np.prod(layer.cells)))
             seen = [arrays[each] for each in ("color", "behind", "radius", "behind_radius")]
-            chain.add("layer_reduced", [*seen, facts[-1], cells], groups=groups, uses=uses, **in_picture)
-            chain.add("layer_blurred", [cells, kernel, facts[-1], blurred], groups=groups, uses=uses)
+            chain.add("layer_reduced", [*seen, facts[-1], cells], groups=groups, **in_picture)
+            chain.add("layer_blurred", [cells, kernel, facts[-1], blurred], groups=groups)
             self._over_box("layer_added", layer, [blurred, arrays["before"], facts[-1], arrays["total"], cover])
         chain.add(
-            "light_over_cover", [arrays["total"], arrays["refocused"]], groups=groups_for(self.pixels), uses=SHARED,
+            "light_over_cover", [arrays["total"], arrays["refocused"]], groups=groups_for(self.pixels),
             pixels=self.pixels, least_cover=LEAST_COVER,
         )  # fmt: skip
 
@@ -147,7 +143,7 @@ class RefocusChain:
         top, left, bottom, right = layer.box
         constants: dict[str, Any] = {"width": self.size[1]}
         groups = groups_for((bottom - top) * (right - left))
-        self.chain.add(stage, arrays, groups=groups, uses=(*SHARED, "refocus_layer"), **constants)
+        self.chain.add(stage, arrays, groups=groups, **constants)
 
     def _array(self, name: str, size: int) -> Array:
         """Return an array of at least so many numbers."""

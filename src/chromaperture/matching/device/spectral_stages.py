@@ -100,11 +100,11 @@ def add_spectra(chain: Chain, windows: Windows, grid: WindowGrid, image: Array, 
     )  # fmt: skip
     chain.add(
         "window_rows", [image, shading, table, rows], groups=groups_for(rows.size // 4),
-        uses=("indexing", "repeated"), height=grid.height, **same,
+        height=grid.height, **same,
     )  # fmt: skip
     chain.add(
         "window_spectra", [rows, table, numbers, taper, spectra], groups=groups_for(grid.count, 1),
-        uses=("repeated",), window_columns=len(grid.columns), frequencies=len(windows.fy), **same,
+        window_columns=len(grid.columns), frequencies=len(windows.fy), **same,
     )  # fmt: skip
     return spectra
 
@@ -147,7 +147,7 @@ def _add_labels(
     same: dict[str, Any] = dict(windows=grid.count, slopes=slopes)
     of_slope, shares = (chain.array(name, n) for name, n in (("of_slope", slopes * grid.count), ("shares", slopes)))
     chain.add(
-        "slope_evidence", [by_slope, of_slope], groups=groups_for(grid.count), uses=("indexing",),
+        "slope_evidence", [by_slope, of_slope], groups=groups_for(grid.count),
         layers=len(few_px), redundancy=float(windows.redundancy), **same,
     )  # fmt: skip
     chain.add("slope_shares", [of_slope, shares], groups=(1,), rounds=LEARNING_ROUNDS, least_share=LEAST_SHARE, **same)
@@ -159,7 +159,6 @@ def _add_labels(
     earned = chain.array("windows", grid.count * len(labels_px))
     chain.add(
         "window_labels", [by_slope, shares, at_windows, earned], groups=groups_for(grid.count, 1),
-        uses=("layer_polynomial",),
         layers=len(few_px), count=len(labels_px), redundancy=float(windows.redundancy),
         area_px2=float(windows.area_px2), one_map=map_.is_identity,
         first_label=float((labels_px[0] - few_px[0]) / step),

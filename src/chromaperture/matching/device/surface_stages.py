@@ -47,7 +47,7 @@ class Grid(NamedTuple):
 def per_pixel(chain: Chain, stage: str, arrays: list[Array], grid: Grid, **constants: Any) -> None:
     """Append a stage with one invocation for every pixel."""
     chain.add(
-        stage, arrays, groups=groups_for(grid.pixels), uses=("indexing",),
+        stage, arrays, groups=groups_for(grid.pixels),
         height=grid.height, width=grid.width, **constants,
     )  # fmt: skip
 
@@ -135,7 +135,7 @@ def add_gaussian(
         lines, across = (height, width) if along_x else (width, height)
         chain.add(
             "gaussian_line", [before, filter_taps, after],
-            groups=groups_for(planes * lines * -(-across // AT_ONCE) * parts), uses=("indexing",),
+            groups=groups_for(planes * lines * -(-across // AT_ONCE) * parts),
             height=height, width=width, planes=planes, parts=parts, reach=len(taps) // 2, along_x=along_x,
         )  # fmt: skip
 
@@ -181,7 +181,7 @@ def add_block_sums(chain: Chain, likelihood: Array, grid: Grid, size: int) -> Ar
     blocks = chain.array("blocks", entries)
     if entries > 0:
         chain.add(
-            "block_sums", [likelihood, blocks], groups=groups_for(entries), uses=("indexing",),
+            "block_sums", [likelihood, blocks], groups=groups_for(entries),
             height=grid.height, width=grid.width, count=grid.layers, size=size,
         )  # fmt: skip
     return blocks

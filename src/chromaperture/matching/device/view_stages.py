@@ -26,7 +26,6 @@ from chromaperture.matching.views import (
 from chromaperture.matching.whole_light import LEAST_EXPONENT, LIGHT_BITS, smoothing_taps
 from chromaperture.settings.stages import ViewsConfig
 
-SHARED = ("indexing", "shared")
 _PARTS = 256  # most workgroups that sum a picture up; one workgroup sums their sums
 _MOST_CONSTANTS = 24  # pixels of a Gaussian whose weights the shader names; more would be long to compile
 SAMPLES_AT_ONCE = 8  # that `guide_scale.wgsl` reads before it counts them; by hand
@@ -70,9 +69,7 @@ def add_views(chain: Chain, image: Array, size: tuple[int, int], space: ViewSpac
     count = len(space.rows)
     raw, smoothed = (chain.array(name, (count + 2) * height * width) for name in ("planes_raw", "planes"))
     mixing = _mixing(space, width, height) | {"whole": False}
-    chain.add(
-        "views", [image, stats, raw, smoothed], groups=groups_for(width * height), uses=(*SHARED, "mixing"), **mixing
-    )
+    chain.add("views", [image, stats, raw, smoothed], groups=groups_for(width * height), **mixing)
     planes = Planes(smoothed, stats, None, width, height, count)
     _add_smoothing(chain, raw, planes, config, whole=False)
     return planes
@@ -93,11 +90,11 @@ def add_halved_views(
     mixing = _mixing(space, width, height) | {"half_width": half_width, "whole": True}
     chain.add(
         "halve_rows", [image, stats, tall, full_guide],
-        groups=groups_for(-(-half_width // 4) * height), uses=(*SHARED, "mixing"), **mixing,
+        groups=groups_for(-(-half_width // 4) * height), **mixing,
     )  # fmt: skip
     chain.add(
         "halve_columns", [tall, stats, raw],
-        groups=groups_for((count + 2) * half_width * -(-half_height // 4)), uses=SHARED,
+        groups=groups_for((count + 2) * half_width * -(-half_height // 4)),
         width=half_width, height=half_height, tall_height=height, plane_count=count + 2, view_count=count,
     )  # fmt: skip
     planes = Planes(smoothed, stats, full_guide, half_width, half_height, count)
@@ -106,12 +103,12 @@ def add_halved_views(
     bands: dict[str, Any] = {"band_height": len(taps) // 2, "band_count": -(-half_height // (len(taps) // 2))}
     unusable = chain.array("unusable", bands["band_count"] * half_width, np.uint32)
     chain.add(
-        "unusable", [raw, unusable], groups=groups_for(unusable.size), uses=SHARED,
+        "unusable", [raw, unusable], groups=groups_for(unusable.size),
         width=half_width, height=half_height, view_count=count, usable_share=USABLE, **bands,
     )  # fmt: skip
     around = _add_blur(chain, raw, planes, taps, first=0, count=count + 2, sparse=(unusable, bands))
     chain.add(
-        "fill", [around, stats, raw, smoothed], groups=groups_for(plane), uses=SHARED,
+        "fill", [around, stats, raw, smoothed], groups=groups_for(plane),
         plane=plane, view_count=count, usable_share=USABLE, fill_units=FILL_UNITS,
     )  # fmt: skip
     views = raw if space.moves_px is None else _add_moves(chain, raw, planes, space.moves_px, size)
@@ -130,7 +127,7 @@ def add_two_views(chain: Chain, image: Array, size: tuple[int, int], rows: np.nd
     lacking = chain.array("lacking", cells["cells_x"] * cells["cells_y"])
     red, green, blue = (float(matched) for matched in np.any(rows, axis=0))
     chain.add(
-        "two_views", [image, lacking], groups=groups_for(lacking.size), uses=SHARED,
+        "two_views", [image, lacking], groups=groups_for(lacking.size),
         width=width, spacing=spacing, first_x=first_x, first_y=first_y, samples_x=samples_x, samples_y=samples_y,
         per_cell_x=samples_x / cells["cells_x"], per_cell_y=samples_y / cells["cells_y"], dark=DARK,
         matched_red=red, matched_green=green, matched_blue=blue, **cells,
@@ -154,9 +151,9 @@ def _add_light(chain: Chain, image: Array, pixels: int, space: ViewSpace) -> Arr
     parts = _parts(pixels)
     stats, sums = chain.array("stats", STATS), chain.array("light_parts", 4 * parts)
     numbers: dict[str, Any] = {"pixels": pixels, "part_count": parts, "saturation": SATURATION}
-    chain.add("light", [image, sums], groups=(parts,), uses=(*SHARED, "light_reduction"), **numbers)
+    chain.add("light", [image, sums], groups=(parts,), **numbers)
     chain.add(
-        "light_sum", [sums, stats], groups=(1,), uses=(*SHARED, "light_reduction"), guide_rgb=np.ravel(space.guide_rgb),
+        "light_sum", [sums, stats], groups=(1,), guide_rgb=np.ravel(space.guide_rgb),
         light_bits=LIGHT_BITS, least_exponent=LEAST_EXPONENT, **numbers,
     )  # fmt: skip
     return stats
@@ -176,7 +173,7 @@ def _add_moves(chain: Chain, raw: Array, planes: Planes, moves_px: np.ndarray, s
     views = chain.array("planes_moved", planes.view_count * planes.pixels)
     chain.add(
         "moved_views", [raw, chain.constant("moves", packed.astype(np.uint32)), planes.stats, views],
-        groups=groups_for(views.size), uses=SHARED,
+        groups=groups_for(views.size),
         width=planes.width, height=planes.height, view_count=planes.view_count, move_parts=MOVE_PARTS,
     )  # fmt: skip
     return views
@@ -195,9 +192,9 @@ def _add_smoothing(
     parts = _parts(planes.pixels)
     sums = chain.array("variance_parts", 6 * parts)
     numbers: dict[str, Any] = {"pixels": planes.pixels, "part_count": parts, "view_count": count}
-    chain.add("variance", [planes.planes, sums], groups=(parts,), uses=(*SHARED, "variance_reduction"), **numbers)
+    chain.add("variance", [planes.planes, sums], groups=(parts,), **numbers)
     numbers["whole"] = whole
-    chain.add("variance_sum", [sums, planes.stats], groups=(1,), uses=(*SHARED, "variance_reduction"), **numbers)
+    chain.add("variance_sum", [sums, planes.stats], groups=(1,), **numbers)
     _add_guide_scale(
         chain, planes.planes, planes.stats, (planes.height, planes.width), config, first=count * planes.pixels, slot=0
     )
@@ -211,7 +208,7 @@ def _add_guide_scale(
     across, down = -(-width // sparse), -(-height // sparse)
     low, high = (share * (across * down - 1) for share in (0.01, 0.99))  # places among the sorted, as NumPy's
     chain.add(
-        "guide_scale", [guide, stats], groups=(1,), uses=SHARED,
+        "guide_scale", [guide, stats], groups=(1,),
         first=first, width=width, sparse=sparse, sparse_width=across, sparse_count=across * down,
         low_place=low, high_place=high, slot=slot, at_once=SAMPLES_AT_ONCE, guide_range=config.guide_range,
     )  # fmt: skip
@@ -255,14 +252,14 @@ def _add_pass(
     nowhere = chain.arrays.get("no_unusable") or chain.array("no_unusable", 1, np.uint32)
     along, across = (planes.width, planes.height) if along_x else (planes.height, planes.width)
     unusable, bands = sparse or (nowhere, {"band_height": 1, "band_count": 1})
-    arrays, uses, weights = [source, unusable, planes.stats, target], (*SHARED, "blur_short"), _shifted(taps)
+    arrays, uses, weights = [source, unusable, planes.stats, target], "blur_short", _shifted(taps)
     constants: dict[str, Any] = {"taps": weights.ravel()}
     if len(weights) > _MOST_CONSTANTS:
         name = f"taps{len(taps)}_{first}"
         arrays.append(chain.arrays.get(name) or chain.constant(name, weights))
-        uses, constants = (*SHARED, "blur_long"), {}
+        uses, constants = "blur_long", {}
     chain.add(
-        "blur", arrays, groups=groups_for(-(-along // 4) * across), uses=uses,
+        "blur", arrays, groups=groups_for(-(-along // 4) * across), uses=(uses,),
         width=planes.width, height=planes.height, first_plane=first, plane_count=count, along_x=along_x,
         replicate=sparse is None, sparse=sparse is not None, whole=whole, **bands, reach=len(taps) // 2,
         span=len(weights), **constants,

@@ -8,7 +8,7 @@ import numpy as np
 
 from chromaperture.color.image import SATURATION
 from chromaperture.matching.device.device import Array, Chain
-from chromaperture.matching.device.view_stages import SAMPLES_AT_ONCE, SHARED
+from chromaperture.matching.device.view_stages import SAMPLES_AT_ONCE
 from chromaperture.matching.device.workgroups import groups_for
 from chromaperture.matching.readable.upsample import JUMP_PX, LEAST_WEIGHT
 
@@ -34,7 +34,7 @@ def add_reduced(chain: Chain, image: Array, size: tuple[int, int], reduction: Re
     """Add `working_scale.reduced` of an image of ``size`` (H, W); return the picture, (h, w, 3)."""
     small = chain.array("reduced", 3 * reduction.size_px[0] * reduction.size_px[1])
     chain.add(
-        "reduce", [image, small], groups=groups_for(small.size // 3), uses=SHARED,
+        "reduce", [image, small], groups=groups_for(small.size // 3),
         saturation=SATURATION, **_sides(size, reduction),
     )  # fmt: skip
     return small
@@ -49,19 +49,19 @@ def add_upsampled(
     coarse, stats = chain.array("coarse", 4 * pixels), chain.arrays["stats"]
     rgb = np.ravel(reduction.guide_rgb)
     chain.add(
-        "coarse_maps", [small, *(chain.arrays[name] for name in names), coarse], groups=groups_for(pixels), uses=SHARED,
+        "coarse_maps", [small, *(chain.arrays[name] for name in names), coarse], groups=groups_for(pixels),
         pixels=pixels, guide_rgb=rgb,
     )  # fmt: skip
     width = reduction.size_px[0]
     low, high = (share * (pixels - 1) for share in (0.01, 0.99))  # places among the sorted, as NumPy's
     chain.add(
-        "guide_scale", [coarse, stats], groups=(1,), uses=SHARED,
+        "guide_scale", [coarse, stats], groups=(1,),
         first=3 * pixels, width=width, sparse=1, sparse_width=width, sparse_count=pixels,
         low_place=low, high_place=high, slot=_SLOT, at_once=SAMPLES_AT_ONCE, guide_range=guide_range,
     )  # fmt: skip
     outputs = [chain.array(name, size[0] * size[1]) for name in names]
     chain.add(
-        "upsample", [image, coarse, stats, *outputs], groups=groups_for(size[0] * size[1]), uses=SHARED,
+        "upsample", [image, coarse, stats, *outputs], groups=groups_for(size[0] * size[1]),
         guide_rgb=rgb, jump_px=JUMP_PX, least_weight=LEAST_WEIGHT, **_sides(size, reduction),
     )  # fmt: skip
 
