@@ -31,10 +31,9 @@ from typing import Any
 import numpy as np
 from matcher import scene
 
-from chromaperture.matching.device.device import AdapterInfo, Chain, Device, Dispatch
+from chromaperture.matching.device.device import AdapterInfo, Chain, Device, Dispatch, pass_times_ms, stage_times_ms
 from chromaperture.matching.device.gpu_method import DeviceMethod, GpuMethod, on_device
 from chromaperture.matching.device.measured import NOTHING
-from chromaperture.matching.device.stage_timing import pass_times_ms, stage_times_ms
 from chromaperture.matching.estimate import method_for
 from chromaperture.matching.labels import IDENTITY
 from chromaperture.matching.paper import PaperMethod

@@ -150,9 +150,9 @@ def main() -> None:
         for dispatch in whole:
             on_device.timed(named(dispatch), functools.partial(alone, dispatch))
         self.dispatches.clear()
-        ticket = start(self, {}, outputs)
+        pending = start(self, {}, outputs)
         self.dispatches[:] = whole
-        return ticket
+        return pending
 
     with limited_threads(1):
         cv2.setNumThreads(1)

@@ -22,8 +22,8 @@ from chromaperture.color.color_maps import DISTANCE, ERROR, draw_levels
 from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.depth.pointcloud import depth_to_points
-from chromaperture.matching.device.conversion_stage import add_conversion
 from chromaperture.matching.device.device import Chain, open_device
+from chromaperture.matching.device.measured import add_conversion
 from chromaperture.matching.device.picture_stages import (
     add_colored_maps,
     add_light_of_counts,

@@ -150,7 +150,7 @@ def test_a_photograph_is_sent_up_before_the_one_before_comes_down():
     alone = [on_gpu.match(picture).value_px for picture in pictures]
     begun = [on_gpu.start(picture) for picture in pictures]
     for one, expected in zip(begun, alone, strict=True):
-        np.testing.assert_array_equal(on_gpu.finish(one).disparity.value_px, expected)
+        np.testing.assert_array_equal(one.result().disparity.value_px, expected)
     assert not np.array_equal(*alone, equal_nan=True)
 
 

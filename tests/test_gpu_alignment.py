@@ -17,9 +17,8 @@ from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
 from chromaperture.color.alignment import align_channels, fill_unknown, white_balance
 from chromaperture.color.visibility import visible_from
-from chromaperture.matching.device.alignment_stage import Alignment, add_alignment
 from chromaperture.matching.device.device import Chain, open_device
-from chromaperture.matching.device.measured import Further, add_further
+from chromaperture.matching.device.measured import Alignment, Further, add_alignment, add_further
 from chromaperture.products.samples import open_sample
 from chromaperture.system.errors import CaptureWarning
 from devices import needs_device

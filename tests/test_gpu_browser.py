@@ -15,10 +15,9 @@ import numpy as np
 import pytest
 
 from chromaperture.effects.refocusing import Focus, refocus
-from chromaperture.matching.device.conversion_stage import Conversion
 from chromaperture.matching.device.device import Chain, open_device
 from chromaperture.matching.device.gpu_method import GpuMethod
-from chromaperture.matching.device.measured import NOTHING, Further
+from chromaperture.matching.device.measured import NOTHING, Conversion, Further
 from chromaperture.matching.device.refocus_stages import RefocusChain, inputs_of
 from chromaperture.matching.device.surface_stages import Grid, add_block_sums, add_path_surface
 from chromaperture.matching.estimate import method_for

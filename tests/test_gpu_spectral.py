@@ -46,7 +46,7 @@ def picture(source, seed):
 @given(st.sampled_from([(8.0, 10), (11.0, 7)]), st.integers(0, 2**32 - 1))
 def test_spectra_agree(window, seed):
     from chromaperture.matching.device.device import Chain
-    from chromaperture.matching.device.spectral_stages import WindowGrid, add_spectra
+    from chromaperture.matching.device.label_stages import WindowGrid, add_spectra
 
     source = source_for(IDENTITY, SpectralConfig(taper_px=window[0], stride_px=window[1]))
     image = picture(source, seed)
@@ -64,7 +64,7 @@ def test_spectra_agree(window, seed):
 
 def likelihood_on_device(spectra, powers, node, noise, config):
     from chromaperture.matching.device.device import Chain
-    from chromaperture.matching.device.spectral_stages import add_likelihood
+    from chromaperture.matching.device.label_stages import add_likelihood
 
     chain = Chain(any_device())
     parts = np.stack([spectra.real, spectra.imag], axis=2)
@@ -114,7 +114,7 @@ def test_likelihoods_of_alike_colours_agree(seed):
 @pytest.mark.parametrize("label_map", [IDENTITY, bent(SHAPE)])
 def test_what_labels_earn_agrees(label_map):
     from chromaperture.matching.device.device import Chain
-    from chromaperture.matching.device.spectral_stages import WindowGrid, add_windows
+    from chromaperture.matching.device.label_stages import WindowGrid, add_windows
 
     source = source_for(label_map)
     layers = np.arange(-9, 10) * 0.9 * source.pairs.blur.reach

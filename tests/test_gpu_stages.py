@@ -15,12 +15,11 @@ from hypothesis import strategies as st
 from chromaperture.depth.conversion import DepthModel, depth_and_sigma
 from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.matching import readable as stages
-from chromaperture.matching.device import cell_stages, correlation_stages, shader_text
-from chromaperture.matching.device.conversion_stage import Conversion, add_conversion
-from chromaperture.matching.device.device import Chain, Device, open_device
+from chromaperture.matching.device import correlation_stages, shader_text
+from chromaperture.matching.device.device import Chain, Device, open_device, pass_times_ms, stage_times_ms
+from chromaperture.matching.device.measured import Conversion, add_conversion
 from chromaperture.matching.device.paper_chain import add_paper
 from chromaperture.matching.device.real_time_chain import add_real_time, add_recursions
-from chromaperture.matching.device.stage_timing import pass_times_ms, stage_times_ms
 from chromaperture.matching.device.view_stages import Planes, add_views
 from chromaperture.matching.error_bar import without_two_views
 from chromaperture.matching.estimate import method_for
@@ -257,7 +256,7 @@ def paper_chain_on(device: Device, design: str) -> Chain:
 def test_chunks_of_cells_change_nothing(design, monkeypatch):
     image = wavy_capture(design, shape=SHAPE)
     whole = run(real_time_chain(design, False)[0], image, SHAPE, ["disparity"]).arrays["disparity"]
-    monkeypatch.setattr(cell_stages, "_CHUNK_BYTES", 4 * 40 * 50 * 4)  # some four entries, with what is padded
+    monkeypatch.setattr(correlation_stages, "_CHUNK_BYTES", 4 * 40 * 50 * 4)  # some four entries, with what is padded
     chain, method = Chain(open_device("gpu")), method_of(design)
     add_real_time(chain, chain.array("image", image.size), SHAPE, method.config, method.space, IDENTITY)
     assert len(chain.dispatches) > len(real_time_chain(design, False)[0].dispatches)

@@ -24,14 +24,14 @@ from chromaperture.color.color_maps import DISTANCE, ERROR, draw_levels
 from chromaperture.color.image import DARK
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.depth.pointcloud import RAY_PITCH_PX, grid_of_rays
-from chromaperture.matching.device.conversion_stage import add_conversion
+from chromaperture.matching.device.device import Exchange, PlannedChain
+from chromaperture.matching.device.measured import add_conversion
 from chromaperture.matching.device.picture_stages import (
     add_colored_maps,
     add_light_of_counts,
     add_sparse_maps,
     row_pitch,
 )
-from chromaperture.matching.device.planned_chain import Exchange, PlannedChain
 from chromaperture.matching.device.real_time_chain import add_real_time
 from chromaperture.matching.nothing_to_match import constant_view, no_usable_pixel
 from chromaperture.matching.real_time import RealTimeMethod
@@ -43,32 +43,16 @@ MOST_PX = (
     4_000_000  # of a frame: up to here cameras keep the curves of all pixels, see `CodedApertureCamera.conversion`
 )
 FORMAT = 1  # of the message; `plan.js` refuses others
-# Places in the array `stats`, as `shared.wgsl` names them.
+# Places in the array `stats`, as `shared` names them.
 _MEAN_ALL, _USABLE, _VARIANCE = 3, 4, 8
 _PACKED_FROM = 1024  # numbers: shorter arrays are text
 
 
 def make_plan(camera: CodedApertureCamera, exchange: str, facts: dict[str, Any]) -> bytes:
-    """Return the plan for frames of a camera's size at quality real-time.
+    """Return the plan for frames of a camera's size at quality real-time, which must not need to be reduced.
 
-    Parameters
-    ----------
-    camera : CodedApertureCamera
-        At real-time quality, for frames that need not be reduced.
-    exchange : {"quad", "shared"}
-        See `PlannedChain`.
-    facts : dict
-        More to put into the plan's text.
-
-    Returns
-    -------
-    bytes
-        The length of a deflated JSON text (four bytes, little-endian), the text, and the arrays that it refers to.
-
-    Raises
-    ------
-    InputError
-        The camera or the frame cannot be measured so.
+    The length of a deflated JSON text (four bytes, little-endian), the text, to which ``facts`` are added, and the
+    arrays that it refers to. ``exchange``: see `PlannedChain`. Raises InputError where it cannot be measured so.
     """
     if exchange not in get_args(Exchange):
         raise InputError(f"unknown exchange {exchange!r}: choose {', '.join(get_args(Exchange))}")
@@ -125,9 +109,7 @@ def make_points(camera: CodedApertureCamera) -> bytes:
 def light_of_counts(calibration: Calibration) -> tuple[np.ndarray, list[str]]:
     """Return the linear light of the 256 counts of a picture of 8 bits as its file is read, and notes about it.
 
-    Returns
-    -------
-    (256,) float32, and a list of sentences
+    (256,) float32, and a list of sentences.
     """
     counts = np.repeat(np.arange(256, dtype=np.uint8)[:, None, None], 3, axis=2)
     encoding = calibration.sensor.encoding if calibration.is_calibrated else None

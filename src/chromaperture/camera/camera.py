@@ -23,10 +23,9 @@ from chromaperture.color.image import checked_image
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.field_bands import field_to_depth
 from chromaperture.frame.depth_frame import DepthFrame
-from chromaperture.matching.device.alignment_stage import Alignment
-from chromaperture.matching.device.conversion_stage import Conversion
-from chromaperture.matching.device.gpu_method import DeviceMethod, Waiting, device_method
-from chromaperture.matching.device.measured import Further, Measured
+from chromaperture.matching.device.device import Pending
+from chromaperture.matching.device.gpu_method import DeviceMethod, device_method
+from chromaperture.matching.device.measured import Alignment, Conversion, Further, Measured
 from chromaperture.matching.result import Disparity
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.scale import SAME_SCALE, resized
@@ -49,7 +48,7 @@ class Begun(NamedTuple):
         The whole frame. Outside of what the photograph shows, ``known`` is NaN, and ``image`` repeats its border.
     size_px : (int, int)
         Width and height of the photograph.
-    waiting : Waiting or None
+    pending : Pending or None
         What a device has begun.
     on_disk : bool
         Whether its volumes do not fit into memory.
@@ -59,7 +58,7 @@ class Begun(NamedTuple):
     known: np.ndarray
     image: np.ndarray
     size_px: tuple[int, int]
-    waiting: Waiting | None = None
+    pending: Pending[Measured] | None = None
     on_disk: bool = False
 
 
@@ -169,7 +168,7 @@ class CodedApertureCamera:
         begun = self._checked(image)
         if not isinstance(self.method, DeviceMethod):
             return begun
-        return begun._replace(waiting=self.method.start(begun.known, self._further(begun)))
+        return begun._replace(pending=self.method.start(begun.known, self._further(begun)))
 
     def complete(self, begun: Begun, *, meanwhile: Callable[[], None] = lambda: None) -> DepthFrame:
         """Return the measurement of a photograph that was begun; raises as `measure`.
@@ -338,7 +337,7 @@ class CodedApertureCamera:
         """Return the disparity, and what else the device made of it."""
         with volumes_on_disk(begun.on_disk):  # those of the CPU
             if isinstance(self.method, DeviceMethod):
-                return self.method.finish(begun.waiting or self.method.start(begun.known, self._further(begun)))
+                return (begun.pending or self.method.start(begun.known, self._further(begun))).result()
             return Measured(self.method.match(begun.known))
 
     def _further(self, begun: Begun) -> Further:

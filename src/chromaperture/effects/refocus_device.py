@@ -19,15 +19,9 @@ _NUMBERS = 4  # of a pixel, in the largest array
 
 @dataclass
 class DeviceCompositor:
-    """The compositor of `refocus` on a device as long as that works; safe from several threads.
+    """The compositor of `refocus` on a device as long as that works; safe from several threads."""
 
-    Attributes
-    ----------
-    behind : DeviceMethod
-        Whose device it is; where that fails the CPU takes over in both.
-    """
-
-    behind: DeviceMethod
+    behind: DeviceMethod  # whose device it is; where that fails the CPU takes over in both
     _chain: RefocusChain | None = None
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -40,10 +34,7 @@ class DeviceCompositor:
     ) -> np.ndarray | None:
         """Return the picture, see `RefocusChain.composite`; None where the CPU has to do it.
 
-        Raises
-        ------
-        DeviceError, OutOfMemoryError
-            The device was asked for by name.
+        Raises DeviceError, OutOfMemoryError where the device was asked for by name.
         """
         device, size = self.behind.on_gpu.device, (hidden.shape[0], hidden.shape[1])
         if self.behind.has_failed or 4 * _NUMBERS * hidden.size > device.largest_bytes:

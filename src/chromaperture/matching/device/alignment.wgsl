@@ -70,7 +70,7 @@ fn main(i) {
 }
 
 // ---- filled_from_few: indexing, shared
-// Unknown pixels take what `every_nth.wgsl` and the search for the nearest known pixel found for their square.
+// Unknown pixels take what `every_nth` and the search for the nearest known pixel found for their square.
 
 in values: array<u32>;  // (H, W), NaN unknown
 in few: array<f32>;  // (few_tall, few_wide)
@@ -178,7 +178,7 @@ fn cubic_at(moved: vec2f, k: u32) -> f32 {
 }
 
 // ---- moved_by_disparity
-// For `channels_shifted.wgsl`: channels are displaced by disparity times direction.
+// For `channels_shifted`: channels are displaced by disparity times direction.
 
 fn sample(x: u32, y: u32, k: u32, disparity: f32) -> f32 {
     let direction = select(direction_of(k), vec2f(), abs(direction_of(k)) < vec2f(still));
@@ -193,7 +193,7 @@ fn sample(x: u32, y: u32, k: u32, disparity: f32) -> f32 {
 }
 
 // ---- moved_by_lens
-// For `channels_shifted.wgsl`: channels are displaced by what a lens does (`color/lens_shift.py`), and sampled by Lanczos'
+// For `channels_shifted`: channels are displaced by what a lens does (`color/lens_shift.py`), and sampled by Lanczos'
 // filter, as OpenCV does it (at places rounded to 1 / 32 px), or by cubics.
 
 @group(0) @binding(5) var<storage, read> table: array<f32>;  // (table_rows, table_columns, table_radii, 6), px

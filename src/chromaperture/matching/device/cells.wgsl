@@ -14,7 +14,7 @@ fn main(i) {
 }
 
 // ---- cells_two
-// Sums of two views for `cell_scores.wgsl`.
+// Sums of two views for `cell_scores`.
 
 // Where in `samples`, (h + 2 pad_y, w + 2 pad_x, E), the windows of an invocation begin.
 alias Reader = vec2u;
@@ -86,7 +86,7 @@ fn score_of(a: Row, b: Row, c: Row, d: Row, e: Row, floors: vec3f) -> f32 {
 }
 
 // ---- cells_three
-// Sums of three views for `cell_scores.wgsl`, as `cells_two.wgsl`. Every layer has a phase of its own along x here, at which
+// Sums of three views for `cell_scores`, as `cells_two`. Every layer has a phase of its own along x here, at which
 // nobody else samples: so the samples, (h + 2 pad_y, w + 2 pad_x, Ey), are those between rows, and are read between their
 // columns here.
 
@@ -344,7 +344,7 @@ fn main(i) {
 }
 
 // ---- cells_enlarged: indexing, shared, between
-// The surface of the cells at every pixel of the halved picture, by `between.wgsl`.
+// The surface of the cells at every pixel of the halved picture, by `between`.
 
 in surface: array<vec4f>;  // (half_height, half_width)
 in guide: array<f32>;  // (h, w)

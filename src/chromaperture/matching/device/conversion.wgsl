@@ -1,14 +1,14 @@
 // Disparity to millimetres.
 
 // ---- fields_mapped
-// For `conversion.wgsl`: A, B, delta and six covariances lie behind one another, each (H, W) or one number.
+// For `conversion`: A, B, delta and six covariances lie behind one another, each (H, W) or one number.
 
 fn field(number: u32, i: u32) -> f32 {
     return fields[u32(field_at[number]) + select(0u, i, field_is_map[number] > 0.0)];
 }
 
 // ---- fields_smooth
-// For `conversion.wgsl`: A, B, delta and six covariances of frames for which maps of them would take too much memory,
+// For `conversion`: A, B, delta and six covariances of frames for which maps of them would take too much memory,
 // as `DepthField.model` computes them. In `fields` lie the coefficients of A and B, the grids of their corrections, and
 // those of the covariances.
 

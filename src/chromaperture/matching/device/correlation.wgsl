@@ -30,7 +30,7 @@ fn main(i) {
 }
 
 // ---- sample_x: indexing, shared
-// The samples of `sample_y.wgsl` read between their columns: an entry is a view at one phase along x and one along y. One
+// The samples of `sample_y` read between their columns: an entry is a view at one phase along x and one along y. One
 // invocation takes `each` neighbours along x, whose taps overlap.
 
 in rows: array<f32>;  // (h + 2 pad_y, w, Ey)
@@ -62,7 +62,7 @@ fn main(i) {
 // border. Two recursions one after the other (West 1979), forward over the samples, then backward over what it leaves.
 // They are of deviations from the mean so far: E[v^2] - E[v]^2 would lose what little texture a bright even area has to
 // the rounding of 32 bits. The deviations go out, times sqrt(decay (1 - decay)): with them a covariance of two views
-// needs no means of its own (`products_x.wgsl`). One invocation takes `block` columns; its recursions start `reach`
+// needs no means of its own (`products_x`). One invocation takes `block` columns; its recursions start `reach`
 // beside them as if the picture were even from there on. Deviations fade `reach` columns beyond the right border.
 
 in samples: array<f32>;  // (rows, columns, E)
@@ -110,7 +110,7 @@ fn main(i) {
 }
 
 // ---- windows_y: indexing, shared
-// The windows of `windows_x.wgsl` joined along y in the same way: deviations of the means, and the gain, 1 / standard
+// The windows of `windows_x` joined along y in the same way: deviations of the means, and the gain, 1 / standard
 // deviation, of every sample. Deviations fade `reach` rows beyond the lower border.
 
 in along_x: array<vec2f>;  // (rows, columns + reach, E): mean, variance
@@ -192,7 +192,7 @@ fn scores_of(covariances: Covariances, gains: Covariances) -> vec4f {
 }
 
 // ---- products_x: indexing, shared
-// Covariances of the views in a window along x, at every layer of a chunk: the recursions of `windows_x.wgsl`, over
+// Covariances of the views in a window along x, at every layer of a chunk: the recursions of `windows_x`, over
 // products of the deviations that it left. One invocation takes four layers in `block` columns.
 
 in deviations: array<vec2f>;  // (h + 2 pad_y, w + 2 pad_x + reach, E)
@@ -243,7 +243,7 @@ fn main(i) {
 }
 
 // ---- correlation: indexing, shared
-// The scores of a chunk of layers: covariances joined along y as `windows_y.wgsl` joins variances, times the gains.
+// The scores of a chunk of layers: covariances joined along y as `windows_y` joins variances, times the gains.
 // Two views have their correlation; three have 1 - sqrt(det) of theirs. One invocation takes four layers in `block`
 // rows; `keep` leaves the scores.
 
@@ -307,7 +307,7 @@ fn main(i) {
 }
 
 // ---- scores_kept
-// `correlation.wgsl` leaves scores as they are.
+// `correlation` leaves scores as they are.
 
 @group(0) @binding(kept_at) var<storage, read_write> score: array<f32>;  // (h, w, pitch)
 
@@ -319,7 +319,7 @@ fn keep(pixel: u32, quad: u32, found: vec4f) {
 }
 
 // ---- scores_nats
-// `correlation.wgsl` leaves log-likelihoods, nats. Chunks begin with a multiple of four layers.
+// `correlation` leaves log-likelihoods, nats. Chunks begin with a multiple of four layers.
 
 @group(0) @binding(kept_at) var<storage, read_write> likelihood: array<vec4f>;  // (h, w, pitch / 4)
 @group(0) @binding(kept_at + 1u) var<storage, read> planes: array<f32>;  // the mask is the one behind K + 1 others
@@ -330,7 +330,7 @@ fn keep(pixel: u32, quad: u32, found: vec4f) {
 }
 
 // ---- scores_weighted
-// `correlation.wgsl` leaves scores times their pixels' weights, and the weights themselves in the maps that are no layer's.
+// `correlation` leaves scores times their pixels' weights, and the weights themselves in the maps that are no layer's.
 
 @group(0) @binding(kept_at) var<storage, read_write> score: array<vec4f>;  // (h, w, pitch / 4)
 @group(0) @binding(kept_at + 1u) var<storage, read> planes: array<f32>;  // the mask is the one behind K + 1 others

@@ -14,10 +14,21 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from chromaperture.matching.device.device import Array, Chain
-from chromaperture.matching.device.view_stages import Planes
-from chromaperture.matching.device.workgroups import GROUP, groups_for
-from chromaperture.matching.readable.correlation import RELATIVE_EPSILON, SAMPLING, padding
+from chromaperture.matching.device.device import GROUP, Array, Chain
+from chromaperture.matching.device.view_stages import GUIDE_SCALE, Planes
+from chromaperture.matching.logarithm import LOGARITHM
+from chromaperture.matching.readable.correlation import (
+    CELL_EPSILON,
+    CELL_TAPS,
+    CONTRARY,
+    LEAST_FLOOR,
+    RELATIVE_EPSILON,
+    SAMPLING,
+    SCORE_PARTS,
+    padding,
+)
+from chromaperture.matching.readable.enlarge import JUMP_PX
+from chromaperture.matching.readable.four_paths import LEAST_DETERMINANT, NAT_PARTS
 from chromaperture.matching.whole_light import whole_taps
 from chromaperture.settings.stages import CorrelationConfig
 
@@ -31,27 +42,13 @@ _PHASES = 1e6  # sub-pixel phases that differ by less than one part are one
 
 
 class Kept(NamedTuple):
-    """What the last stage makes of a score before it leaves it: a file with the function ``keep``.
+    """What the last stage makes of a score before it leaves it: a section with the function ``keep``."""
 
-    Attributes
-    ----------
-    name : str
-        Of the array that is left.
-    uses : tuple of str
-        Files of functions, ``keep`` among them.
-    constants : dict
-        What these need.
-    more : int
-        Further maps of a pixel behind those of a chunk's layers.
-    together : int
-        The maps of a pixel are filled up to a multiple of this.
-    """
-
-    name: str
-    uses: tuple[str, ...]
-    constants: dict[str, Any]
-    more: int = 0
-    together: int = 1
+    name: str  # of the array that is left
+    uses: tuple[str, ...]  # sections, that with ``keep`` among them
+    constants: dict[str, Any]  # what these need
+    more: int = 0  # further maps of a pixel behind those of a chunk's layers
+    together: int = 1  # the maps of a pixel are filled up to a multiple of this
 
     def pitch_of(self, layers: int) -> int:
         """Return the maps of a pixel in a chunk of so many layers."""
@@ -143,24 +140,9 @@ def add_correlation(
 ) -> Iterator[tuple[Array, Chunk]]:
     """Add the scores, chunk after chunk; what is added between two chunks may read the last one's.
 
-    Parameters
-    ----------
-    chain : Chain
-    planes : Planes
-    layers_px : (D,) float, px
-    directions : (K, 2) float
-    config : CorrelationConfig
-    pitch : int, optional
-        Layers of a pixel in one volume (h, w, pitch) of all chunks; without it every chunk has (h, w, C) of its own.
-    chunked : bool
-        Chunks are small enough for their scores, too, to fit.
-    kept : Kept, optional
-        What is left of the scores instead of themselves.
-
-    Yields
-    ------
-    score : Array
-    chunk : Chunk
+    ``layers_px``: (D,), ``directions``: (K, 2). With ``pitch``, layers of a pixel in one volume (h, w, pitch) of all
+    chunks; without it every chunk has (h, w, C) of its own. ``chunked``: chunks are small enough for their scores, too,
+    to fit. ``kept``: what is left of the scores instead of themselves.
     """
     pad_x, pad_y = padding(layers_px, directions, config.sampling)
     kept = kept or Kept("score", ("scores_kept",), {})
@@ -204,13 +186,13 @@ def add_correlation(
         frame: dict[str, Any] = {"row_count": tall, "columns": wide, "entry_count": entries, **window}
         block, blocks = _even_blocks(wide + reach)
         chain.add(
-            "windows_x", [samples, windows, apart_x], groups=groups_for(tall * blocks * entries),
+            "windows_x", [samples, windows, apart_x], tall * blocks * entries,
             block=block, deviation_unit=unit, **frame,
         )  # fmt: skip
         block, blocks = _even_blocks(tall + reach)
         chain.add(
             "windows_y", [windows, taps_x, taps_y, planes.stats, apart_y, gains],
-            groups=groups_for(wide * blocks * entries),
+            wide * blocks * entries,
             relative_epsilon=RELATIVE_EPSILON, block=block, deviation_unit=unit, **frame,
         )  # fmt: skip
         layers: dict[str, Any] = {"quads": quads[number], "entry_count": entries, **size, **window}
@@ -222,10 +204,9 @@ def add_correlation(
         }  # fmt: skip
         along_x, along_y = [apart_x, places, ahead, covariances], [covariances, places, apart_y, gains, ahead, volume]
         along_y += mask
-        groups = groups_for(invocations[number][0])
-        chain.add("products_x", along_x, groups=groups, uses=(pairs,), block=block_x, **layers)
-        groups, used = groups_for(invocations[number][1]), (pairs, *kept.uses)
-        chain.add("correlation", along_y, groups=groups, uses=used, block=block_y, **layers, **score)
+        of_x, of_y = invocations[number]
+        chain.add("products_x", along_x, of_x, uses=(pairs,), block=block_x, **layers)
+        chain.add("correlation", along_y, of_y, uses=(pairs, *kept.uses), block=block_y, **layers, **score)
         yield volume, chunk
 
 
@@ -250,7 +231,7 @@ def add_samples(
     taps_y = add_samples_y(chain, planes, chunk, number, samples_y, margin=0, pad_y=pad_y, whole=whole)
     taps_x = chain.constant(f"taps_x{number}", chunk.phases_x)
     chain.add(
-        "sample_x", [samples_y, taps_x, samples], groups=groups_for(tall * -(-wide // _EACH) * entries),
+        "sample_x", [samples_y, taps_x, samples], tall * -(-wide // _EACH) * entries,
         width=planes.width, height=planes.height, pad_y=pad_y, phase_count=len(chunk.phases_y), whole=whole,
         each=_EACH, pad_x=pad_x, entry_count=entries,
     )  # fmt: skip
@@ -265,7 +246,7 @@ def add_samples_y(
     taps_y = chain.constant(f"taps_y{number}", chunk.phases_y)
     chain.add(
         "sample_y", [planes.planes, taps_y, planes.stats, samples_y],
-        groups=groups_for(-(-tall // _EACH) * wide * phases), width=planes.width, height=planes.height,
+        -(-tall // _EACH) * wide * phases, width=planes.width, height=planes.height,
         margin=margin, pad_y=pad_y, phase_count=phases, whole=whole, each=_EACH,
     )  # fmt: skip
     return taps_y
@@ -279,3 +260,108 @@ def _even_blocks(pixels: int) -> tuple[int, int]:
 
 def _largest(chain: Chain, name: str, sizes: list[int]) -> Array:
     return chain.array(name, max(sizes))
+
+
+WINDOW_REACH_PX = 2  # of a cell's window
+# What `nats` needs.
+LIKELIHOOD: dict[str, Any] = {
+    "least_determinant": LEAST_DETERMINANT,
+    "nat_parts": NAT_PARTS,
+    "logarithm_terms": LOGARITHM,
+    "logarithm_count": len(LOGARITHM),
+}
+_CELLS = 8  # that an invocation takes, one below the other: they share the sums of 3 of their 5 rows
+
+
+def add_cell_planes(chain: Chain, planes: Planes) -> Planes:
+    """Add views, guide and mask of the cells of a halved picture."""
+    tall, wide, count = -(-planes.height // 2), -(-planes.width // 2), planes.view_count + 2
+    cells = chain.array("cell_planes", count * tall * wide)
+    chain.add(
+        "cell_planes", [planes.planes, cells], cells.size,
+        plane_count=count, width=planes.width, height=planes.height, cells_wide=wide, cells_tall=tall,
+    )  # fmt: skip
+    return Planes(cells, planes.stats, None, wide, tall, planes.view_count)
+
+
+def add_cell_scores(
+    chain: Chain,
+    planes: Planes,
+    cells: Planes,
+    layers_px: np.ndarray,
+    directions: np.ndarray,
+    config: CorrelationConfig,
+) -> Array:
+    """Add the scores of all layers; (cells, D)."""
+    pad_x, pad_y = (pad + WINDOW_REACH_PX for pad in padding(layers_px, directions, config.sampling))
+    # A second column of cells at the border reaches 2 px further, the taps that three views read with it another one.
+    pad_x += 2 * WINDOW_REACH_PX
+    tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
+    three = planes.view_count == 3
+    most = int(min(_CHUNK_BYTES, chain.device.largest_bytes) // (4 * tall * wide))
+    chunks = chunks_of(layers_px, directions, config.sampling, most, len(layers_px), whole=True)
+    margin = pad_x if three else 0
+    most_phases = max(len(chunk.phases_y) for chunk in chunks)
+    samples = samples_y = chain.array("samples_y", tall * (planes.width + 2 * margin) * most_phases)
+    if not three:
+        samples = chain.array("samples", tall * wide * max(len(chunk.phases_x) for chunk in chunks))
+    score = chain.array("score", cells.pixels * len(layers_px))
+    for number, chunk in enumerate(chunks):
+        if three:
+            add_samples_y(chain, planes, chunk, number, samples_y, margin=margin, pad_y=pad_y, whole=True)
+            further = [chain.constant(f"taps_x{number}", chunk.phases_x)]
+        else:
+            add_samples(chain, planes, chunk, number, samples_y, samples, pad_x=pad_x, pad_y=pad_y, whole=True)
+            further = []
+        chain.add(
+            "cell_scores", [samples, chain.constant(f"places{number}", chunk.places), planes.stats, score, *further],
+            -(-cells.height // _CELLS) * -(-cells.width // 2) * chunk.size,
+            uses=("cells_three" if three else "cells_two",), views=planes.view_count,
+            cells_each=_CELLS, cells_wide=cells.width, cells_tall=cells.height,
+            entry_count=len(chunk.phases_x), phase_count=len(chunk.phases_y), layer_count=chunk.size,
+            first_layer=chunk.first, all_layers=len(layers_px), reach=WINDOW_REACH_PX,
+            score_parts=SCORE_PARTS, relative_epsilon=sum(CELL_TAPS) ** 4 * CELL_EPSILON,
+            least_floor=sum(CELL_TAPS) ** 4 * LEAST_FLOOR, width=planes.width, pad_x=pad_x, pad_y=pad_y,
+        )  # fmt: skip
+    if not three:
+        chain.add(
+            "own_sign", [score], cells.pixels,
+            cell_count=cells.pixels, all_layers=len(layers_px), contrary=float(SCORE_PARTS * CONTRARY),
+        )  # fmt: skip
+    return score
+
+
+def add_label_likelihood(
+    chain: Chain,
+    cells: Planes,
+    score: Array,
+    labels: Array,
+    layers_px: np.ndarray,
+    labels_px: np.ndarray,
+    *,
+    pitch: int,
+    score_parts: int,
+    of_labels: dict[str, Any],
+) -> Array:
+    """Add the log-likelihoods of all labels; (cells, pitch)."""
+    likelihood = chain.array("likelihood", cells.pixels * pitch)
+    chain.add(
+        "label_likelihood", [score, labels, cells.planes, likelihood], likelihood.size // 4,
+        width=cells.width, height=cells.height, view_count=cells.view_count,
+        all_layers=len(layers_px), label_count=len(labels_px), pitch=pitch,
+        parts=(len(labels_px) - 1) // (len(layers_px) - 1), first_px=float(layers_px[0]),
+        layer_step_px=float(layers_px[1] - layers_px[0]), **LIKELIHOOD,
+        score_parts=score_parts, **of_labels,
+    )  # fmt: skip
+    return likelihood
+
+
+def add_enlarged_cells(chain: Chain, planes: Planes, cells: Planes, surface: Array) -> Array:
+    """Add the surface at the pixels of the halved picture; (h, w, 4)."""
+    enlarged = chain.array("surface_enlarged", 4 * planes.pixels)
+    chain.add(
+        "cells_enlarged", [surface, planes.planes, planes.stats, enlarged], planes.pixels,
+        width=planes.width, height=planes.height, half_width=cells.width, jump_px=JUMP_PX,
+        guide_start=planes.view_count * planes.pixels, guide_scale=GUIDE_SCALE,
+    )  # fmt: skip
+    return enlarged

@@ -110,7 +110,7 @@ fn main(group, local) {
 }
 
 // ---- point_columns
-// Transfer functions: the transforms of `point_rows.wgsl` along the columns, of frequencies and their negatives at once.
+// Transfer functions: the transforms of `point_rows` along the columns, of frequencies and their negatives at once.
 // An invocation has two columns at four frequencies, which share what is read. Rows on both sides of the middle, as far
 // from it, share their waves.
 
@@ -361,7 +361,7 @@ fn correlations_of(pair: u32, band: u32, samples: u32, sample: u32) -> u32 {
 in products: array<f32>;  // (bands, layers of a round, pairs, h, w, 3)
 in seen: array<vec2f>;  // (bands, all pairs, h, w): powers in focus
 in round: array<u32>;
-out correlation: array<f32>;  // see `correlations.wgsl`
+out correlation: array<f32>;  // see `correlations`
 
 fn main(i) {
     if (i >= bands * layers_of_round * pair_count * width * height) { return; }
@@ -384,9 +384,9 @@ fn main(i) {
 
 // ---- pair_evidence: correlations
 // What all pairs and bands of a sample earn at every layer, as the unexplained fraction exp(-2 l / factors), in which
-// `labels_read.wgsl` interpolates. A workgroup has one sample. See `blur_evidence.py`.
+// `labels_read` interpolates. A workgroup has one sample. See `blur_evidence.py`.
 
-in correlation: array<f32>;  // see `correlations.wgsl`
+in correlation: array<f32>;  // see `correlations`
 // (count,): where a layer's correlation is; odd ones may lie between even ones: -1
 in places: array<i32>;
 out unexplained: array<f32>;  // (samples, count)

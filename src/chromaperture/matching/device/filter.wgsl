@@ -25,7 +25,7 @@ fn main(i) {
 }
 
 // ---- smoothing: indexing, shared
-// Recursions from both ends of every line, over the links of `links.wgsl`: f(i) = gain x(i) + link(i)
+// Recursions from both ends of every line, over the links of `links`: f(i) = gain x(i) + link(i)
 // f(i - 1), the first sample without the gain; the sum of both less `own` x. Lines are the rows or the columns of maps
 // (h, w, C). A workgroup takes eight lines in 32 segments: every segment first sums itself up, so that each knows what
 // comes in from its two sides before it is walked again. Used by the smoothing along the surface and by the bilateral

@@ -433,7 +433,7 @@ fn main(group, groups, local) {
 }
 
 // ---- cross_rows: indexing, fourier
-// The transform of `cross_columns.wgsl` along the rows: P and Q of the middle of every tile as the real and the imaginary
+// The transform of `cross_columns` along the rows: P and Q of the middle of every tile as the real and the imaginary
 // part of one picture. Two rows go side by side.
 
 in columns: array<vec4f>;  // (pictures, middle, kept)

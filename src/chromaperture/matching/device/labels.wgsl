@@ -1,7 +1,7 @@
 // Likelihoods at labels.
 
 // ---- label_polynomial
-// Reads a pixel's or a sample's unexplained fractions of all layers at a label; see `layer_polynomial.wgsl`.
+// Reads a pixel's or a sample's unexplained fractions of all layers at a label; see `layer_polynomial`.
 
 // A straight continuation at both ends; every invocation calls it.
 fn continue_ladder(local: u32) {

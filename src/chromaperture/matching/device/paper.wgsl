@@ -77,7 +77,7 @@ fn main(i) {
 }
 
 // ---- peak_range_x: indexing, shared
-// Lowest and highest known disparity along x (quality "paper"), for `peak_range.wgsl`.
+// Lowest and highest known disparity along x (quality "paper"), for `peak_range`.
 
 in peaks: array<f32>;  // (3, H, W): disparity, its error bar, score
 out ranges: array<vec2f>;  // (H, W): lowest, highest
@@ -102,7 +102,7 @@ fn main(i) {
 
 in peaks: array<f32>;  // (3, H, W): disparity, its error bar, score
 in ranges: array<vec2f>;  // (H, W): lowest and highest disparity along x
-in unlike: array<f32>;  // (rows, columns): `unlike_share.wgsl`
+in unlike: array<f32>;  // (rows, columns): `unlike_share`
 out disparity: array<u32>;  // (H, W)
 out sigma: array<u32>;
 out confidence: array<u32>;

@@ -120,7 +120,7 @@ fn main(group, local) {
 }
 
 // ---- volume_winner: indexing
-// The layer of least cost of every pixel, and how the log-likelihood runs about it: for `layer_offsets.wgsl`.
+// The layer of least cost of every pixel, and how the log-likelihood runs about it: for `layer_offsets`.
 
 in cost: array<f32>;  // (h, w, count)
 in likelihood: array<f32>;  // (h, w, count)
@@ -188,7 +188,7 @@ fn main(i) {
 
 // ---- layer_tangents: indexing
 // Tangents of the log of the unexplained fraction at the last offset from the nearest layer; see
-// `readable/between_layers.py`. Their averages give the next offset (`layer_offsets.wgsl`).
+// `readable/between_layers.py`. Their averages give the next offset (`layer_offsets`).
 
 in winner: array<vec3f>;
 in offset: array<f32>;

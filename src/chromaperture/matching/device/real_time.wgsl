@@ -11,7 +11,7 @@ fn least_of_lanes(own: f32) -> f32 {
 }
 
 // ---- lanes_shared
-// The form of `lanes_quad.wgsl` for devices without subgroups: the least cost goes through shared memory.
+// The form of `lanes_quad` for devices without subgroups: the least cost goes through shared memory.
 const lanes = 4u;
 
 var<workgroup> lane_costs: array<f32, 64>;
@@ -68,9 +68,9 @@ fn own_cost(own: Own) -> vec4f {
 
 // ---- four_paths: indexing, shared
 // Path costs along one of four directions: 0 right, 1 left, 2 down, 3 up. A pixel of path cost c adds to its neighbour
-// on the path m = min(c, min c + e jump) - min c, which is left in 16 bits for `path_winner.wgsl`. The
+// on the path m = min(c, min c + e jump) - min c, which is left in 16 bits for `path_winner`. The
 // dispatches write to arrays of their own, so that a device may run both rows, and both columns, side by side. What is a
-// pixel's own is in `own_of_rows.wgsl` and `own_of_columns.wgsl`. A step computes little and would wait for the memory:
+// pixel's own is in `own_of_rows` and `own_of_columns`. A step computes little and would wait for the memory:
 // what it needs is read `ahead` steps before.
 
 in likelihood: array<vec4f>;  // (h, w, pitch / 4)
@@ -240,7 +240,7 @@ fn main(group, groups, local) {
 
 // ---- surface: indexing, shared, half_labels
 // From the smoothed places between the layers to the surface of the halved picture: its disparity in half px, and
-// highest and lowest disparity along x, of which `surface_range.wgsl` makes the range about each pixel.
+// highest and lowest disparity along x, of which `surface_range` makes the range about each pixel.
 // One invocation takes four neighbours, whose ranges overlap.
 
 in places: array<vec2f>;  // (h, w): information, place times information
@@ -323,7 +323,7 @@ fn main(i) {
 }
 
 // ---- enlarge: indexing, shared, between, finishing
-// The surface of the halved picture at every pixel, by `between.wgsl`.
+// The surface of the halved picture at every pixel, by `between`.
 
 in surface: array<vec4f>;  // (h, w): disparity, sigma, peak, nothing
 in guide: array<f32>;  // (H, W)

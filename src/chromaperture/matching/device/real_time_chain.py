@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.matching.device.cell_stages import (
+from chromaperture.matching.device.correlation_stages import (
     LIKELIHOOD,
+    Kept,
     add_cell_planes,
     add_cell_scores,
+    add_correlation,
     add_enlarged_cells,
     add_label_likelihood,
 )
-from chromaperture.matching.device.correlation_stages import Kept, add_correlation
-from chromaperture.matching.device.device import Array, Chain
+from chromaperture.matching.device.device import Array, Chain, groups_for
 from chromaperture.matching.device.view_stages import GUIDE_SCALE, Planes, add_halved_views, add_two_views
-from chromaperture.matching.device.workgroups import groups_for
 from chromaperture.matching.error_bar import CONFIDENCE_SCALE_PX, MAX_SIGMA_PX, sigma_of_range
 from chromaperture.matching.labels import MOST_APART_PX, LabelMap, labels_between
 from chromaperture.matching.readable.bilateral import even_link
@@ -48,20 +48,7 @@ _AHEAD = 4
 def add_real_time(
     chain: Chain, image: Array, size: tuple[int, int], config: RealTimeConfig, space: ViewSpace, label_map: LabelMap
 ) -> None:
-    """Add all stages from the image to ``disparity``, ``sigma`` and ``confidence``, (H, W) each.
-
-    Parameters
-    ----------
-    chain : Chain
-    image : Array
-        (H, W, 3) float32.
-    size : (int, int)
-        H, W.
-    config : RealTimeConfig
-    space : ViewSpace
-    label_map : LabelMap
-        (H, W), or `IDENTITY`.
-    """
+    """Add all stages from the image (H, W, 3) to ``disparity``, ``sigma`` and ``confidence``, (H, W) each."""
     height, width = size
     whole = add_halved_views(chain, image, size, space, config.views)
     cell_px = config.correlation.cell_px
@@ -106,10 +93,10 @@ def add_real_time(
     reach = -(-EDGE_REACH_PX // cell_px)
     between: dict[str, Any] = {"first_px": first, "step_px": step, "reach": reach, **frame, **of_labels}
     quads = -(-planes.width // 4) * planes.height
-    chain.add("surface", [smoothed, labels, ranges], groups=groups_for(quads), **between)
+    chain.add("surface", [smoothed, labels, ranges], quads, **between)
     chain.add(
         "surface_range", [ranges, smoothed, winner, labels, planes.planes, surface],
-        groups=groups_for(planes.width * -(-planes.height // 4)),
+        planes.width * -(-planes.height // 4),
         layer_count=len(labels_px), widest_px=sigma_of_range(labels_px), scatter=SCATTER, bias=BIAS,
         widest_share=WIDEST_SHARE, seen_reach=SEEN_REACH, mask_plane=(planes.view_count + 1) * planes.pixels,
         edge_share=EDGE_SHARE, **between,
@@ -123,7 +110,7 @@ def add_real_time(
     outputs = [chain.array(name, height * width, np.float32) for name in ("disparity", "sigma", "confidence")]
     chain.add(
         "enlarge", [surface, whole.full_guide, whole.stats, labels, lacking, *outputs],
-        groups=groups_for(height * width), guide_start=0,
+        height * width, guide_start=0,
         guide_scale=GUIDE_SCALE + 1, width=width, height=height, half_width=whole.width, jump_px=JUMP_PX,
         labelled=not label_map.is_identity, range_sigma_px=sigma_of_range(config.layers.values_px),
         floor_px=config.floor_px / moved, max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX, **cells,
@@ -158,14 +145,14 @@ def _add_paths(
         )  # fmt: skip
     winner, places = chain.array("winner", 3 * planes.pixels), chain.array("places", 2 * planes.pixels)
     chain.add(
-        "path_winner", [likelihood, *costs, winner, places], groups=groups_for(planes.pixels),
+        "path_winner", [likelihood, *costs, winner, places], planes.pixels,
         row_parts=parts, cost_parts=last_parts,
         view_count=planes.view_count, temperature=paths.temperature,
         farthest_of_five=FARTHEST_OF_FIVE, least_unexplained=LEAST_UNEXPLAINED,
         least_unexplained_of_three=LEAST_UNEXPLAINED_OF_THREE, least_information=LEAST_INFORMATION, **size, **of_layers,
     )  # fmt: skip
     chain.add(
-        "beside_nearer", [winner, places], groups=groups_for(planes.pixels),
+        "beside_nearer", [winner, places], planes.pixels,
         nearer_reach=NEARER_REACH, weight=BESIDE_NEARER, **size,
     )  # fmt: skip
     return winner, places
@@ -183,7 +170,7 @@ def add_links(chain: Chain, planes: Planes, layers: Array, *, even: float, edge_
     """Add the weights of the links between neighbours, (2, h, w); ``layers`` is read only where ``by_layer``."""
     links = chain.array("links", 2 * planes.pixels)
     chain.add(
-        "links", [planes.planes, planes.stats, layers, links], groups=groups_for(planes.pixels),
+        "links", [planes.planes, planes.stats, layers, links], planes.pixels,
         width=planes.width, height=planes.height, guide_plane=planes.view_count * planes.pixels,
         even_link=even, edge_range=edge_range, by_layer=by_layer,
     )  # fmt: skip
@@ -201,7 +188,7 @@ def add_recursions(
     own: float,
     pitch: int | None = None,
 ) -> Array:
-    """Add the recursions of ``smoothing.wgsl`` along x, then along y; return the sums, in place of the maps.
+    """Add the recursions of `smoothing` along x, then along y; return the sums, in place of the maps.
 
     ``pitch`` is the distance of two pixels' maps where it is not their number.
     """

@@ -34,7 +34,7 @@ fn main(i) {
 // Spectra of tapered windows, less their mean under the taper; see `spectral_model.py`, Windows. A workgroup has one
 // window.
 
-in rows: array<vec2f>;  // (window rows, pairs, w, 3, 2): `window_rows.wgsl`
+in rows: array<vec2f>;  // (window rows, pairs, w, 3, 2): `window_rows`
 in waves: array<vec2f>;  // (side, pairs, 2): cosine and sine
 in numbers: array<vec2i>;  // (frequencies,): waves a period along x and y
 in taper: array<vec2f>;  // (frequencies,): of an even picture

@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from chromaperture.matching.device.device import Array, Chain, DeviceError
-from chromaperture.matching.device.workgroups import GROUP, groups_for
+from chromaperture.matching.device.device import GROUP, Array, Chain, DeviceError
 from chromaperture.matching.readable.between_layers import TANGENTS
 from chromaperture.matching.readable.paths import LEAST_UNEXPLAINED, LINES, penalties_of
 from chromaperture.settings.stages import SurfaceConfig
@@ -47,7 +46,7 @@ class Grid(NamedTuple):
 def per_pixel(chain: Chain, stage: str, arrays: list[Array], grid: Grid, **constants: Any) -> None:
     """Append a stage with one invocation for every pixel."""
     chain.add(
-        stage, arrays, groups=groups_for(grid.pixels),
+        stage, arrays, grid.pixels,
         height=grid.height, width=grid.width, **constants,
     )  # fmt: skip
 
@@ -64,25 +63,10 @@ def add_paths(
     lanes: int = LANES,
     ahead: int | None = None,
 ) -> None:
-    """Append `stages.aggregate_paths`: a dispatch for every direction.
+    """Append `stages.aggregate_paths`: a dispatch for every direction; raises DeviceError for too many layers.
 
-    Parameters
-    ----------
-    chain : Chain
-    likelihood, guide, total : Array
-        Volume, map, volume; the last is written.
-    grid : Grid
-    layers_px : (count,) float, px
-    config : SurfaceConfig
-    lanes : int
-        Invocations that share a path; 1, 2, 4, ... 64.
-    ahead : int
-        Steps of a path that are read before they are needed; by default as many as registers hold.
-
-    Raises
-    ------
-    DeviceError
-        More than `MOST_LAYERS` layers.
+    ``likelihood``, ``guide``, ``total``: volume, map, volume; the last is written. ``lanes`` invocations share a path:
+    1, 2, 4, ... 64; ``ahead`` of its steps are read before they are needed, by default as many as registers hold.
     """
     if grid.layers > MOST_LAYERS:
         raise DeviceError(f"{grid.layers} labels are too many for the GPU, at most {MOST_LAYERS}; use --device cpu")
@@ -117,16 +101,7 @@ def add_gaussian(
 ) -> None:
     """Append a filter along both axes: (planes, h, w, parts), mirrored at the borders.
 
-    Parameters
-    ----------
-    chain : Chain
-    values, between : Array
-        What is filtered, in place, and as much room.
-    shape : (int, int)
-    taps : (2 r + 1,) float
-    parts, planes : int
-    source : Array, optional
-        What is filtered instead; ``values`` is only written.
+    ``values`` is filtered in place, ``between`` is as much room; where ``source`` is given, it is filtered instead.
     """
     height, width = shape
     # An array: a shader's constant that is indexed by a variable is copied for every invocation.
@@ -135,7 +110,7 @@ def add_gaussian(
         lines, across = (height, width) if along_x else (width, height)
         chain.add(
             "gaussian_line", [before, filter_taps, after],
-            groups=groups_for(planes * lines * -(-across // AT_ONCE) * parts),
+            planes * lines * -(-across // AT_ONCE) * parts,
             height=height, width=width, planes=planes, parts=parts, reach=len(taps) // 2, along_x=along_x,
         )  # fmt: skip
 
@@ -181,7 +156,7 @@ def add_block_sums(chain: Chain, likelihood: Array, grid: Grid, size: int) -> Ar
     blocks = chain.array("blocks", entries)
     if entries > 0:
         chain.add(
-            "block_sums", [likelihood, blocks], groups=groups_for(entries),
+            "block_sums", [likelihood, blocks], entries,
             height=grid.height, width=grid.width, count=grid.layers, size=size,
         )  # fmt: skip
     return blocks

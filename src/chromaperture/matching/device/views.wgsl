@@ -1,7 +1,7 @@
 // Views, guide and mask of a picture, and how they are smoothed.
 
 // ---- light_reduction
-// Sums over a workgroup, for `light.wgsl` and `light_sum.wgsl`.
+// Sums over a workgroup, for `light` and `light_sum`.
 
 var<workgroup> sums: array<vec4f, 256>;
 
@@ -17,7 +17,7 @@ fn summed(own: vec4f, local: u32) -> vec4f {
 
 // ---- light: indexing, shared, light_reduction
 // Mean light of the usable pixels, and how many there are: what views are centred on and unknown pixels replaced by.
-// This stage sums parts of the picture, `light_sum.wgsl` the parts.
+// This stage sums parts of the picture, `light_sum` the parts.
 
 in image: array<f32>;  // (H, W, 3)
 out parts: array<f32>;  // (groups, 4)
@@ -38,7 +38,7 @@ fn main(group, local) {
 }
 
 // ---- light_sum: indexing, shared, light_reduction
-// Sums the parts that `light.wgsl` left up, to the first numbers of `stats`.
+// Sums the parts that `light` left up, to the first numbers of `stats`.
 
 in parts: array<f32>;  // (groups, 4)
 out stats: array<f32>;
@@ -66,7 +66,7 @@ fn main(local) {
 }
 
 // ---- mixing
-// A pixel's light as the views and the guide see it; used by `views.wgsl` and `halve_rows.wgsl`. Where `whole`, views
+// A pixel's light as the views and the guide see it; used by `views` and `halve_rows`. Where `whole`, views
 // are in whole units of light, and their mean in an even number of them, so that halves are rounded as without it.
 
 struct Pixel {
@@ -204,7 +204,7 @@ fn main(i) {
 
 // ---- blur: indexing, shared
 // Gaussian along one axis, of some planes of one array into the same planes of another. Where `sparse`, only what
-// `fill.wgsl` reads, at unusable pixels, and what that is made of: columns next to unusable pixels. One invocation takes
+// `fill` reads, at unusable pixels, and what that is made of: columns next to unusable pixels. One invocation takes
 // four neighbours along the axis, whose pixels overlap. Where `whole`, the sums are rounded to whole units of light.
 
 in before: array<f32>;  // (planes, h, w)
@@ -248,7 +248,7 @@ fn main(i) {
 }
 
 // ---- blur_short
-// `blur.wgsl` with weights that are constants: `taps`, of a pixel in the sums of four neighbours.
+// `blur` with weights that are constants: `taps`, of a pixel in the sums of four neighbours.
 fn sums_of(base: u32, first: i32, length: u32, stride: u32) -> vec4f {
     var sums = vec4f();
     for (var j = 0u; j < span; j++) {  // unrolled
@@ -259,7 +259,7 @@ fn sums_of(base: u32, first: i32, length: u32, stride: u32) -> vec4f {
 }
 
 // ---- blur_long
-// `blur.wgsl` with weights that are read: many.
+// `blur` with weights that are read: many.
 @group(0) @binding(4) var<storage, read> taps: array<vec4f>;  // of a pixel in the sums of four neighbours
 
 fn sums_of(base: u32, first: i32, length: u32, stride: u32) -> vec4f {
@@ -319,7 +319,7 @@ fn main(i) {
 }
 
 // ---- variance_reduction
-// Sums over a workgroup, for `variance.wgsl` and `variance_sum.wgsl`.
+// Sums over a workgroup, for `variance` and `variance_sum`.
 
 struct Sums {
     values: vec3f,
@@ -342,7 +342,7 @@ fn summed(own: Sums, local: u32) -> Sums {
 }
 
 // ---- variance: indexing, shared, variance_reduction
-// Variance of every view over the picture. This stage sums parts of it, `variance_sum.wgsl` the parts.
+// Variance of every view over the picture. This stage sums parts of it, `variance_sum` the parts.
 
 in planes: array<f32>;  // (planes, h, w), the views first
 out parts: array<f32>;  // (groups, 6)
@@ -367,7 +367,7 @@ fn main(group, local) {
 }
 
 // ---- variance_sum: indexing, shared, variance_reduction
-// Sums the parts that `variance.wgsl` left up, to the views' variances.
+// Sums the parts that `variance` left up, to the views' variances.
 
 in parts: array<f32>;  // (groups, 6)
 out stats: array<f32>;
