@@ -33,7 +33,7 @@ from matcher import scene
 
 from chromaperture.matching.device.device import AdapterInfo, Chain, Device, Dispatch, pass_times_ms, stage_times_ms
 from chromaperture.matching.device.gpu_method import DeviceMethod, GpuMethod, on_device
-from chromaperture.matching.device.measured import NOTHING
+from chromaperture.matching.device.measured import NO_EXTRAS
 from chromaperture.matching.estimate import method_for
 from chromaperture.matching.labels import IDENTITY
 from chromaperture.matching.paper import PaperMethod
@@ -181,7 +181,7 @@ def benchmark(device: str, quality: str, design: str, size: tuple[int, int], ban
         assert isinstance(on_cpu, PaperMethod | RealTimeMethod)
         label_map = on_cpu.label_map if isinstance(on_cpu, RealTimeMethod) else IDENTITY
         counted = GpuMethod(on_cpu.config, on_cpu.space, label_map, counting_device())
-        chain = counted._composed((height, width), NOTHING)
+        chain = counted._composed((height, width), NO_EXTRAS)
         stages = stages_of(chain, image, bandwidth=bandwidth, rate=rate)
         facts = {"quality": quality, "design": design, "size": f"{width}x{height}"}
         return {**facts, "device_mbytes": round(chain.device_bytes / 1e6, 1), "stages": stages}

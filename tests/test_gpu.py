@@ -19,7 +19,7 @@ from chromaperture.depth.conversion import DepthModel
 from chromaperture.matching.device import device as device_file
 from chromaperture.matching.device.device import AdapterInfo, DeviceError, adapters, open_device
 from chromaperture.matching.device.gpu_method import DeviceMethod, GpuMethod, chosen_device, on_device
-from chromaperture.matching.device.measured import Further
+from chromaperture.matching.device.measured import Extras
 from chromaperture.matching.estimate import method_for
 from chromaperture.matching.labels import IDENTITY
 from chromaperture.settings.methods import PaperConfig, RealTimeConfig
@@ -132,7 +132,7 @@ def test_a_picture_without_anything_to_match_is_refused_as_on_the_cpu(fill, word
 def test_two_frames_are_under_way_at_a_time_and_keep_their_order():
     method, image = real_time()
     whole = GpuMethod(REAL_TIME, method.space, IDENTITY, open_device("gpu"))
-    chain = whole._composed(SHAPE, Further())
+    chain = whole._composed(SHAPE, Extras())
     other = wavy_capture("cy_halves", shape=SHAPE, seed=8)
     one_by_one = [chain.run({"image": each}, ["disparity"])["disparity"] for each in (image, other)]
     pending = [chain.start({"image": each}, ["disparity"]) for each in (image, other)]

@@ -430,3 +430,21 @@ def test_conversion_by_numbers_in_place_of_maps(local, known, rng):
     found = chain.run({"disparity": disparity, "sigma": sigma}, ["depth_mm", "sigma_mm"])
     check_millimetres(found, *expected)
     assert chain.arrays["fields"].size < disparity.size + 6 * 33 * 33  # of a frame so small: no maps
+
+
+def test_arrays_and_heads_are_written_out():
+    text = "in a: array<f32>;  // here\nout b: array<u32>;\n\n@workgroup_size(128)\nfn main(group, local) {\n}\n"
+    assert shader_text.written_out(text) == (
+        "@group(0) @binding(0) var<storage, read> a: array<f32>;  // here\n"
+        "@group(0) @binding(1) var<storage, read_write> b: array<u32>;\n\n"
+        "@compute @workgroup_size(128)\n"
+        "fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {\n}\n"
+    )
+    numbered = shader_text.written_out("fn main(i) {\n}\n")
+    assert numbered.startswith("@compute @workgroup_size(64)\nfn main(\n    @builtin(workgroup_id) group: vec3u, ")
+    assert "let i = invocation(group, groups, local);\n}" in numbered
+
+
+def test_what_sections_use_is_there():
+    known = shader_text.sections()
+    assert {name for used, _ in known.values() for name in used} <= set(known)

@@ -20,13 +20,13 @@ from chromaperture.matching.clipped_areas import clipped_filled
 from chromaperture.matching.device.device import Array, Chain, Device, Pending
 from chromaperture.matching.device.evidence_stages import EvidencePlan, add_evidence, plan_evidence
 from chromaperture.matching.device.label_stages import (
+    WindowEvidence,
     WindowGrid,
-    WindowsEarned,
     add_labels,
     add_views_evidence,
     add_windows,
 )
-from chromaperture.matching.device.measured import NOTHING, Further, Measured, OnDevice
+from chromaperture.matching.device.measured import NO_EXTRAS, Extras, Measured, OnDevice
 from chromaperture.matching.device.surface_stages import Grid, add_block_sums, add_path_surface
 from chromaperture.matching.evidence.blur import BlurEvidence
 from chromaperture.matching.evidence.correlation import CorrelationEvidence
@@ -108,7 +108,7 @@ class AccurateChain:
             assert isinstance(source, CorrelationEvidence)
             add_views_evidence(chain, source, self.shape, (image, usable, likelihood), layers_px, labels_px)
 
-    def _windows(self, usable: Array) -> WindowsEarned:
+    def _windows(self, usable: Array) -> WindowEvidence:
         evidence, grid, chain = self.method.evidence, self.windows, self.chain
         assert isinstance(evidence, SpectralEvidence)
         assert grid is not None
@@ -117,7 +117,7 @@ class AccurateChain:
             chain, evidence, grid, (chain.arrays["image"], chain.arrays["shading"], noise),
             self.method.config.layers.values_px, self.method.labels_px,
         )  # fmt: skip
-        return WindowsEarned(earned, usable, grid)
+        return WindowEvidence(earned, usable, grid)
 
     @property
     def windows(self) -> WindowGrid | None:
@@ -166,7 +166,7 @@ class AccurateOnDevice(OnDevice):
     _chain: AccurateChain | None = None
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def start(self, image: np.ndarray, further: Further = NOTHING) -> Pending[Measured]:
+    def start(self, image: np.ndarray, extras: Extras = NO_EXTRAS) -> Pending[Measured]:
         """Send an image (H, W, 3) to the device, which begins; the CPU makes what is asked for besides."""
         pairs = pairs_of(self.method)
         if pairs is not None:

@@ -14,11 +14,11 @@ from chromaperture.matching.accurate import AccurateMethod
 from chromaperture.matching.device.accurate_chain import AccurateOnDevice
 from chromaperture.matching.device.device import Array, Chain, Device, DeviceError, Pending, adapters, open_device
 from chromaperture.matching.device.measured import (
-    NOTHING,
-    Further,
+    NO_EXTRAS,
+    Extras,
     Measured,
     OnDevice,
-    add_further,
+    add_extras,
     is_same,
     measured_from,
     outputs_of,
@@ -47,14 +47,14 @@ class GpuMethod(OnDevice):
     reduction: Reduction | None = None  # of larger pictures, to those that the other fields are of
     _chain: Chain | None = None
     _size: tuple[int, int] = (0, 0)
-    _further: Further = NOTHING
+    _extras: Extras = NO_EXTRAS
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def start(self, image: np.ndarray, further: Further = NOTHING) -> Pending[Measured]:
+    def start(self, image: np.ndarray, extras: Extras = NO_EXTRAS) -> Pending[Measured]:
         """Send an image (H, W, 3) to the device, which begins; at most two are under way, to be awaited in turn."""
         size = (image.shape[0], image.shape[1])
         with self._lock, self._freed_on_failure():
-            pending = self._composed(size, further).start({"image": image}, [*outputs_of(further), "stats"])
+            pending = self._composed(size, extras).start({"image": image}, [*outputs_of(extras), "stats"])
 
         def result() -> Measured:
             with self._lock, self._freed_on_failure():
@@ -64,9 +64,9 @@ class GpuMethod(OnDevice):
 
         return Pending(result)
 
-    def _composed(self, size: tuple[int, int], further: Further) -> Chain:
+    def _composed(self, size: tuple[int, int], extras: Extras) -> Chain:
         """Return the chain for a size, kept until another is needed."""
-        if self._chain is None or self._size != size or not is_same(self._further, further):
+        if self._chain is None or self._size != size or not is_same(self._extras, extras):
             self._chain = None
             chain = Chain(self.device)
             image = chain.array("image", 3 * size[0] * size[1])
@@ -76,8 +76,8 @@ class GpuMethod(OnDevice):
                 small = add_reduced(chain, image, size, self.reduction)
                 self._add_matching(chain, small, self.reduction.size_px[::-1])
                 add_upsampled(chain, image, small, size, self.reduction, self.config.views.guide_range)
-            add_further(chain, image, size, further)
-            self._chain, self._size, self._further = chain, size, further
+            add_extras(chain, image, size, extras)
+            self._chain, self._size, self._extras = chain, size, extras
         return self._chain
 
     def _add_matching(self, chain: Chain, image: Array, size: tuple[int, int]) -> None:
@@ -102,11 +102,11 @@ class DeviceMethod:
         """Return the disparity of an image (H, W, 3)."""
         return self.measure(image).disparity
 
-    def measure(self, image: np.ndarray, further: Further = NOTHING) -> Measured:
+    def measure(self, image: np.ndarray, extras: Extras = NO_EXTRAS) -> Measured:
         """Return the disparity of an image, and its depth where the device made it."""
-        return self.start(image, further).result()
+        return self.start(image, extras).result()
 
-    def start(self, image: np.ndarray, further: Further = NOTHING) -> Pending[Measured]:
+    def start(self, image: np.ndarray, extras: Extras = NO_EXTRAS) -> Pending[Measured]:
         """Send an image (H, W, 3) to the device, which computes it while another is read back.
 
         At most two are under way, to be awaited in turn. The CPU begins when it is waited for.
@@ -114,7 +114,7 @@ class DeviceMethod:
         pending: Pending[Measured] | None = None
         if not self.has_failed:
             try:
-                pending = self.on_gpu.start(image, further)
+                pending = self.on_gpu.start(image, extras)
             except (DeviceError, OutOfMemoryError) as error:
                 self.fall_back(error)
 

@@ -153,7 +153,7 @@ def _add_labels(
     return earned
 
 
-class WindowsEarned(NamedTuple):
+class WindowEvidence(NamedTuple):
     """What labels earn in windows of all channels, and where the photograph is usable."""
 
     earned: Array
@@ -169,7 +169,7 @@ def add_labels(
     likelihood: Array,
     labels_px: np.ndarray,
     *,
-    windows: WindowsEarned | None = None,
+    windows: WindowEvidence | None = None,
 ) -> None:
     """Append `stages.read_at_labels`, at the pixels of the photograph, and add what windows say.
 

@@ -162,14 +162,14 @@ _MILLIMETRES = ("depth_mm", "sigma_mm")
 _COLOR = "color"
 
 
-class Further(NamedTuple):
+class Extras(NamedTuple):
     """What a device makes of a disparity where it is asked to."""
 
     conversion: Conversion | None = None
     alignment: Alignment | None = None
 
 
-NOTHING = Further()
+NO_EXTRAS = Extras()
 
 
 class Measured(NamedTuple):
@@ -191,7 +191,7 @@ class OnDevice(ABC):
     _chain: Any
 
     @abstractmethod
-    def start(self, image: np.ndarray, further: Further = NOTHING) -> Pending[Measured]:
+    def start(self, image: np.ndarray, extras: Extras = NO_EXTRAS) -> Pending[Measured]:
         """Send an image (H, W, 3) to the device, which begins; at most two are under way, to be awaited in turn.
 
         Both raise DeviceError and OutOfMemoryError besides InputError.
@@ -210,18 +210,18 @@ class OnDevice(ABC):
             raise
 
 
-def add_further(chain: Chain, image: Array, size: tuple[int, int], further: Further) -> None:
+def add_extras(chain: Chain, image: Array, size: tuple[int, int], extras: Extras) -> None:
     """Add what is asked for behind a chain's disparity and error bar; ``image`` is the photograph, ``size`` (H, W)."""
-    if further.conversion is not None:
-        add_conversion(chain, chain.arrays["disparity"], chain.arrays["sigma"], further.conversion)
-    if further.alignment is not None:
-        add_alignment(chain, image, chain.arrays["disparity"], size, further.alignment)
+    if extras.conversion is not None:
+        add_conversion(chain, chain.arrays["disparity"], chain.arrays["sigma"], extras.conversion)
+    if extras.alignment is not None:
+        add_alignment(chain, image, chain.arrays["disparity"], size, extras.alignment)
 
 
-def outputs_of(further: Further) -> list[str]:
+def outputs_of(extras: Extras) -> list[str]:
     """Return the arrays that come down."""
-    names = [*MAPS, *(_MILLIMETRES if further.conversion is not None else ())]
-    return names if further.alignment is None else [*names, _COLOR]
+    names = [*MAPS, *(_MILLIMETRES if extras.conversion is not None else ())]
+    return names if extras.alignment is None else [*names, _COLOR]
 
 
 def measured_from(found: dict[str, np.ndarray], size: tuple[int, int]) -> Measured:
@@ -232,6 +232,6 @@ def measured_from(found: dict[str, np.ndarray], size: tuple[int, int]) -> Measur
     return Measured(disparity, depth_mm, sigma_mm, color)
 
 
-def is_same(one: Further, other: Further) -> bool:
+def is_same(one: Extras, other: Extras) -> bool:
     """Whether two hold the same objects."""
     return all(a is b for a, b in zip(one, other, strict=True))
