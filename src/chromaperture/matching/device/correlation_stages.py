@@ -39,6 +39,15 @@ _BLOCK = 64  # most px of a line that an invocation takes
 _CHUNK_BYTES = 128e6  # of the largest array of a chunk: WebGPU's default limit of a binding
 _EACH = 16  # neighbours that an invocation samples: 5 % more taps are read than with all of a line
 _PHASES = 1e6  # sub-pixel phases that differ by less than one part are one
+WINDOW_REACH_PX = 2  # of a cell's window
+# What `nats` needs.
+LIKELIHOOD: dict[str, Any] = {
+    "least_determinant": LEAST_DETERMINANT,
+    "nat_parts": NAT_PARTS,
+    "logarithm_terms": LOGARITHM,
+    "logarithm_count": len(LOGARITHM),
+}
+_CELLS = 8  # that an invocation takes, one below the other: they share the sums of 3 of their 5 rows
 
 
 class Kept(NamedTuple):
@@ -186,13 +195,12 @@ def add_correlation(
         frame: dict[str, Any] = {"row_count": tall, "columns": wide, "entry_count": entries, **window}
         block, blocks = _even_blocks(wide + reach)
         chain.add(
-            "windows_x", [samples, windows, apart_x], tall * blocks * entries,
-            block=block, deviation_unit=unit, **frame,
+            "windows_x", [samples, windows, apart_x], tall * blocks * entries, block=block, deviation_unit=unit,
+            **frame,
         )  # fmt: skip
         block, blocks = _even_blocks(tall + reach)
         chain.add(
-            "windows_y", [windows, taps_x, taps_y, planes.stats, apart_y, gains],
-            wide * blocks * entries,
+            "windows_y", [windows, taps_x, taps_y, planes.stats, apart_y, gains], wide * blocks * entries,
             relative_epsilon=RELATIVE_EPSILON, block=block, deviation_unit=unit, **frame,
         )  # fmt: skip
         layers: dict[str, Any] = {"quads": quads[number], "entry_count": entries, **size, **window}
@@ -231,9 +239,9 @@ def add_samples(
     taps_y = add_samples_y(chain, planes, chunk, number, samples_y, margin=0, pad_y=pad_y, whole=whole)
     taps_x = chain.constant(f"taps_x{number}", chunk.phases_x)
     chain.add(
-        "sample_x", [samples_y, taps_x, samples], tall * -(-wide // _EACH) * entries,
-        width=planes.width, height=planes.height, pad_y=pad_y, phase_count=len(chunk.phases_y), whole=whole,
-        each=_EACH, pad_x=pad_x, entry_count=entries,
+        "sample_x", [samples_y, taps_x, samples], tall * -(-wide // _EACH) * entries, width=planes.width,
+        height=planes.height, pad_y=pad_y, phase_count=len(chunk.phases_y), whole=whole, each=_EACH, pad_x=pad_x,
+        entry_count=entries,
     )  # fmt: skip
     return taps_y, taps_x
 
@@ -245,9 +253,9 @@ def add_samples_y(
     tall, wide, phases = planes.height + 2 * pad_y, planes.width + 2 * margin, len(chunk.phases_y)
     taps_y = chain.constant(f"taps_y{number}", chunk.phases_y)
     chain.add(
-        "sample_y", [planes.planes, taps_y, planes.stats, samples_y],
-        -(-tall // _EACH) * wide * phases, width=planes.width, height=planes.height,
-        margin=margin, pad_y=pad_y, phase_count=phases, whole=whole, each=_EACH,
+        "sample_y", [planes.planes, taps_y, planes.stats, samples_y], -(-tall // _EACH) * wide * phases,
+        width=planes.width, height=planes.height, margin=margin, pad_y=pad_y, phase_count=phases, whole=whole,
+        each=_EACH,
     )  # fmt: skip
     return taps_y
 
@@ -262,24 +270,13 @@ def _largest(chain: Chain, name: str, sizes: list[int]) -> Array:
     return chain.array(name, max(sizes))
 
 
-WINDOW_REACH_PX = 2  # of a cell's window
-# What `nats` needs.
-LIKELIHOOD: dict[str, Any] = {
-    "least_determinant": LEAST_DETERMINANT,
-    "nat_parts": NAT_PARTS,
-    "logarithm_terms": LOGARITHM,
-    "logarithm_count": len(LOGARITHM),
-}
-_CELLS = 8  # that an invocation takes, one below the other: they share the sums of 3 of their 5 rows
-
-
 def add_cell_planes(chain: Chain, planes: Planes) -> Planes:
     """Add views, guide and mask of the cells of a halved picture."""
     tall, wide, count = -(-planes.height // 2), -(-planes.width // 2), planes.view_count + 2
     cells = chain.array("cell_planes", count * tall * wide)
     chain.add(
-        "cell_planes", [planes.planes, cells], cells.size,
-        plane_count=count, width=planes.width, height=planes.height, cells_wide=wide, cells_tall=tall,
+        "cell_planes", [planes.planes, cells], cells.size, plane_count=count, width=planes.width, height=planes.height,
+        cells_wide=wide, cells_tall=tall,
     )  # fmt: skip
     return Planes(cells, planes.stats, None, wide, tall, planes.view_count)
 
@@ -316,17 +313,16 @@ def add_cell_scores(
         chain.add(
             "cell_scores", [samples, chain.constant(f"places{number}", chunk.places), planes.stats, score, *further],
             -(-cells.height // _CELLS) * -(-cells.width // 2) * chunk.size,
-            uses=("cells_three" if three else "cells_two",), views=planes.view_count,
-            cells_each=_CELLS, cells_wide=cells.width, cells_tall=cells.height,
-            entry_count=len(chunk.phases_x), phase_count=len(chunk.phases_y), layer_count=chunk.size,
-            first_layer=chunk.first, all_layers=len(layers_px), reach=WINDOW_REACH_PX,
-            score_parts=SCORE_PARTS, relative_epsilon=sum(CELL_TAPS) ** 4 * CELL_EPSILON,
+            uses=("cells_three" if three else "cells_two",), views=planes.view_count, cells_each=_CELLS,
+            cells_wide=cells.width, cells_tall=cells.height, entry_count=len(chunk.phases_x),
+            phase_count=len(chunk.phases_y), layer_count=chunk.size, first_layer=chunk.first, all_layers=len(layers_px),
+            reach=WINDOW_REACH_PX, score_parts=SCORE_PARTS, relative_epsilon=sum(CELL_TAPS) ** 4 * CELL_EPSILON,
             least_floor=sum(CELL_TAPS) ** 4 * LEAST_FLOOR, width=planes.width, pad_x=pad_x, pad_y=pad_y,
         )  # fmt: skip
     if not three:
         chain.add(
-            "own_sign", [score], cells.pixels,
-            cell_count=cells.pixels, all_layers=len(layers_px), contrary=float(SCORE_PARTS * CONTRARY),
+            "own_sign", [score], cells.pixels, cell_count=cells.pixels, all_layers=len(layers_px),
+            contrary=float(SCORE_PARTS * CONTRARY),
         )  # fmt: skip
     return score
 
@@ -346,12 +342,10 @@ def add_label_likelihood(
     """Add the log-likelihoods of all labels; (cells, pitch)."""
     likelihood = chain.array("likelihood", cells.pixels * pitch)
     chain.add(
-        "label_likelihood", [score, labels, cells.planes, likelihood], likelihood.size // 4,
-        width=cells.width, height=cells.height, view_count=cells.view_count,
-        all_layers=len(layers_px), label_count=len(labels_px), pitch=pitch,
-        parts=(len(labels_px) - 1) // (len(layers_px) - 1), first_px=float(layers_px[0]),
-        layer_step_px=float(layers_px[1] - layers_px[0]), **LIKELIHOOD,
-        score_parts=score_parts, **of_labels,
+        "label_likelihood", [score, labels, cells.planes, likelihood], likelihood.size // 4, width=cells.width,
+        height=cells.height, view_count=cells.view_count, all_layers=len(layers_px), label_count=len(labels_px),
+        pitch=pitch, parts=(len(labels_px) - 1) // (len(layers_px) - 1), first_px=float(layers_px[0]),
+        layer_step_px=float(layers_px[1] - layers_px[0]), **LIKELIHOOD, score_parts=score_parts, **of_labels,
     )  # fmt: skip
     return likelihood
 
@@ -360,8 +354,8 @@ def add_enlarged_cells(chain: Chain, planes: Planes, cells: Planes, surface: Arr
     """Add the surface at the pixels of the halved picture; (h, w, 4)."""
     enlarged = chain.array("surface_enlarged", 4 * planes.pixels)
     chain.add(
-        "cells_enlarged", [surface, planes.planes, planes.stats, enlarged], planes.pixels,
-        width=planes.width, height=planes.height, half_width=cells.width, jump_px=JUMP_PX,
-        guide_start=planes.view_count * planes.pixels, guide_scale=GUIDE_SCALE,
+        "cells_enlarged", [surface, planes.planes, planes.stats, enlarged], planes.pixels, width=planes.width,
+        height=planes.height, half_width=cells.width, jump_px=JUMP_PX, guide_start=planes.view_count * planes.pixels,
+        guide_scale=GUIDE_SCALE,
     )  # fmt: skip
     return enlarged

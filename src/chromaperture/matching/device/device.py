@@ -40,6 +40,13 @@ from chromaperture.system.threads import begun
 GROUP = 64  # invocations of a workgroup of the stages that have one for every pixel
 MOST_GROUPS = 65_535  # workgroups along an axis of a dispatch: WebGPU's default limit
 MOST_BINDINGS = 8  # arrays of a stage: WebGPU's default limit
+# Real devices first; within a kind those that wgpu names first. A rasteriser in software is the last choice.
+_KINDS = {"DiscreteGPU": 0, "IntegratedGPU": 1, "VirtualGPU": 2, "Unknown": 3, "CPU": 4}
+_RAISED = ("max-storage-buffer-binding-size", "max-buffer-size")  # to all that the adapter has: default 128 MB
+_SLOTS = 2  # frames under way: one is computed while another is read back
+_LARGEST_BYTES = 128 * 2**20  # of an array in a browser: the default limit of WebGPU
+T = TypeVar("T")
+Exchange = Literal["quad", "shared"]  # see `PlannedChain`
 
 
 def groups_for(invocations: int, size: int = GROUP) -> tuple[int, int]:
@@ -55,15 +62,6 @@ def dispatch_size(stage: str, array_count: int, groups: Sequence[float]) -> tupl
     if max(x, y, z) > MOST_GROUPS or array_count > MOST_BINDINGS:
         raise InputError(f"stage {stage}: {(x, y, z)} workgroups, {array_count} arrays; the picture is too large")
     return x, y, z
-
-
-# Real devices first; within a kind those that wgpu names first. A rasteriser in software is the last choice.
-_KINDS = {"DiscreteGPU": 0, "IntegratedGPU": 1, "VirtualGPU": 2, "Unknown": 3, "CPU": 4}
-_RAISED = ("max-storage-buffer-binding-size", "max-buffer-size")  # to all that the adapter has: default 128 MB
-_SLOTS = 2  # frames under way: one is computed while another is read back
-_LARGEST_BYTES = 128 * 2**20  # of an array in a browser: the default limit of WebGPU
-T = TypeVar("T")
-Exchange = Literal["quad", "shared"]  # see `PlannedChain`
 
 
 class DeviceError(InputError):

@@ -35,6 +35,11 @@ from chromaperture.settings.stages import CrossFilterConfig
 MOST_TRANSFORMED = 1024  # complex numbers of two lines: they fill 16 KB of shared memory
 MOST_BANDS = 8  # whose numbers fit into 32 bits
 ROUND_BYTES = 1 << 28  # of the arrays that a round of layers works on; chosen by hand
+RADICES = (16, 12, 10, 9, 8, 6, 5, 4, 3, 2)  # of `fourier`
+SHARED_NUMBERS = 4000  # of the correlations of a sample in 16 KB of shared memory
+CELLS = 4096  # pixels of a point-spread function in 16 KB of shared memory
+FEW = 4  # neighbours that an invocation of the other filters has
+_NEGLIGIBLE = 1e-8  # of a window's transform
 
 
 class Part(NamedTuple):
@@ -167,13 +172,6 @@ def _smooths(config: CrossFilterConfig) -> Smooths:
     return Smooths(np.stack(wide, axis=-1).astype(np.float32), reach, fine, coarse)
 
 
-RADICES = (16, 12, 10, 9, 8, 6, 5, 4, 3, 2)  # of `fourier`
-SHARED_NUMBERS = 4000  # of the correlations of a sample in 16 KB of shared memory
-CELLS = 4096  # pixels of a point-spread function in 16 KB of shared memory
-FEW = 4  # neighbours that an invocation of the other filters has
-_NEGLIGIBLE = 1e-8  # of a window's transform
-
-
 def add_evidence(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -> Array:
     """Append all stages from a photograph to the unexplained fraction of every layer, (samples, D).
 
@@ -189,14 +187,11 @@ def add_evidence(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
         raise DeviceError(f"{lists} bands of pairs at {len(plan.layers_px)} layers are too many for the GPU")
     chain.add(
         "pair_evidence", [correlation, chain.constant("places", plan.places), unexplained],
-        groups=groups_for(samples, 1), samples=samples, count=len(plan.layers_px),
-        computed=len(plan.computed_px),
+        groups=groups_for(samples, 1), samples=samples, count=len(plan.layers_px), computed=len(plan.computed_px),
         pairs=len(pairs), primary_pairs=len(plan.source.blur.pairs), of_all_pairs=plan.parts[0].end,
-        bands=len(config.bands_px),
-        weights=[float(w) for w in config.band_weights], most_correlation2=MAX_CORRELATION2_OF_BANDS,
-        contrary_product=CONTRARY,
-        fallback_weight=float(config.fallback_weight), fallback_nats=float(config.fallback_nats),
-        factors=plan.factors,
+        bands=len(config.bands_px), weights=[float(w) for w in config.band_weights],
+        most_correlation2=MAX_CORRELATION2_OF_BANDS, contrary_product=CONTRARY,
+        fallback_weight=float(config.fallback_weight), fallback_nats=float(config.fallback_nats), factors=plan.factors,
     )  # fmt: skip
     return unexplained
 
@@ -221,10 +216,10 @@ def add_transform(
     group_size = GROUP * -(-most_butterflies // GROUP)
     lines_of_group = max(1, min(group_size // most_butterflies, MOST_TRANSFORMED // span))
     chain.add(
-        stage, [_factors(chain, span), *arrays], groups=groups_for(lines, lines_of_group),
-        span=span, lines=lines, lines_of_group=lines_of_group, group_size=group_size,
-        passes=len(radices), radices=sum(radix << 8 * i for i, radix in enumerate(radices)), last_radix=radices[-1],
-        backwards=backwards, beside_lines=beside_lines, **constants,
+        stage, [_factors(chain, span), *arrays], groups=groups_for(lines, lines_of_group), span=span, lines=lines,
+        lines_of_group=lines_of_group, group_size=group_size, passes=len(radices),
+        radices=sum(radix << 8 * i for i, radix in enumerate(radices)), last_radix=radices[-1], backwards=backwards,
+        beside_lines=beside_lines, **constants,
     )  # fmt: skip
 
 
@@ -277,12 +272,11 @@ def _add_spectra(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
     for before, after, along_x in ((spectra, between, False), (between, power, True)):
         chain.add(
             "tile_smoothing", [before, taps, after],
-            pictures * (size * -(-columns // FEW) if along_x else columns * -(-size // FEW)),
-            pictures=pictures, size=size, reach=reach, along_x=along_x, is_spectrum=not along_x,
+            pictures * (size * -(-columns // FEW) if along_x else columns * -(-size // FEW)), pictures=pictures,
+            size=size, reach=reach, along_x=along_x, is_spectrum=not along_x,
         )  # fmt: skip
     chain.add(
-        "tile_signal", [power, noise, signal], pictures * size * columns,
-        pictures=pictures, frequencies=size * columns,
+        "tile_signal", [power, noise, signal], pictures * size * columns, pictures=pictures, frequencies=size * columns,
     )  # fmt: skip
     return spectra, signal
 
@@ -302,8 +296,8 @@ def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: 
     tiles, span, all_pairs = len(plan.nodes.places), sizes[0].size, plan.source.all_pairs
     of_pairs = chain.array("pair_spectra", 4 * tiles * len(all_pairs) * span * (span // 2))
     chain.add(
-        "pair_spectra", [spectra, signal, chain.constant("low_pass", low_pass), of_pairs],
-        of_pairs.size // 4, tiles=tiles, pair_count=len(all_pairs), span=span,
+        "pair_spectra", [spectra, signal, chain.constant("low_pass", low_pass), of_pairs], of_pairs.size // 4,
+        tiles=tiles, pair_count=len(all_pairs), span=span,
         pairs=sum((a | b << 2) << 4 * i for i, (a, b) in enumerate(all_pairs)),
     )  # fmt: skip
     constants = dict(
@@ -325,8 +319,7 @@ def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: 
             _add_windows(chain, plan, part, made, constants["band_taps"])
             if part is in_focus:
                 chain.add(
-                    "band_powers", [made["products"], seen], seen.size // 2,
-                    windows=seen.size // 2,
+                    "band_powers", [made["products"], seen], seen.size // 2, windows=seen.size // 2,
                 )  # fmt: skip
             else:
                 _add_correlation(chain, plan, part, made["products"], (seen, round_), correlation)
@@ -372,9 +365,8 @@ def _add_transfers(
     )  # fmt: skip
     chain.add(
         "point_rows", [factors, rays, pupil, defocus, round_, made["point_rows"]],
-        groups=(sizes.pictures, sizes.side / rows_of_group, sizes.layers),
-        points=len(plan.source.blur.pupil.points), rows_of_group=rows_of_group, cells=rows_of_group * sizes.side,
-        **same,
+        groups=(sizes.pictures, sizes.side / rows_of_group, sizes.layers), points=len(plan.source.blur.pupil.points),
+        rows_of_group=rows_of_group, cells=rows_of_group * sizes.side, **same,
     )  # fmt: skip
     chain.add(
         "point_columns", [factors, defocus, round_, made["point_rows"], made["transfers"]],
@@ -390,22 +382,21 @@ def _add_views(
     place_of = sizes.part.channels.index
     pairs = sum((place_of(a) | place_of(b) << 2) << 4 * i for i, (a, b) in enumerate(sizes.part.pairs))
     add_transform(
-        chain, "cross_columns", [constants["pair_spectra"], made["transfers"], made["cross_columns"]],
-        sizes.size, pictures * sizes.kept, backwards=True, beside_lines=True, tiles=sizes.tiles,
-        channels=len(sizes.part.channels), pair_count=sizes.pairs, all_pairs=len(plan.source.all_pairs), pairs=pairs,
-        middle=sizes.middle, damping=float(plan.source.config.damping),
+        chain, "cross_columns", [constants["pair_spectra"], made["transfers"], made["cross_columns"]], sizes.size,
+        pictures * sizes.kept, backwards=True, beside_lines=True, tiles=sizes.tiles, channels=len(sizes.part.channels),
+        pair_count=sizes.pairs, all_pairs=len(plan.source.all_pairs), pairs=pairs, middle=sizes.middle,
+        damping=float(plan.source.config.damping),
     )  # fmt: skip
     add_transform(
-        chain, "cross_rows", [made["cross_columns"], made["tile_views"]],
-        sizes.size, pictures * sizes.middle // 2, backwards=True, beside_lines=False, middle=sizes.middle,
+        chain, "cross_rows", [made["cross_columns"], made["tile_views"]], sizes.size, pictures * sizes.middle // 2,
+        backwards=True, beside_lines=False, middle=sizes.middle,
     )  # fmt: skip
     height, width = plan.nodes.shape
     chain.add(
         "tiles_joined",
         [made["tile_views"], constants["across"], constants["down"], constants["starts"], made["joined"]],
-        sizes.layers * sizes.pairs * height * width, height=height, width=width,
-        layers_of_round=sizes.layers, pair_count=sizes.pairs, tiles=sizes.tiles, middle=sizes.middle,
-        node_columns=len(plan.nodes.across.starts),
+        sizes.layers * sizes.pairs * height * width, height=height, width=width, layers_of_round=sizes.layers,
+        pair_count=sizes.pairs, tiles=sizes.tiles, middle=sizes.middle, node_columns=len(plan.nodes.across.starts),
     )  # fmt: skip
 
 
@@ -420,18 +411,16 @@ def _add_windows(chain: Chain, plan: EvidencePlan, sizes: RoundSizes, made: dict
         height=height, width=width, pictures=pictures, smooths=smooths.taps.shape[1], reach=smooths.reach
     )
     chain.add(
-        "bands_rows", [made["joined"], band_taps, made["smooth_rows"]],
-        pictures * height * -(-width // AT_ONCE), **same,
+        "bands_rows", [made["joined"], band_taps, made["smooth_rows"]], pictures * height * -(-width // AT_ONCE),
+        **same,
     )  # fmt: skip
     chain.add(
         "bands_columns", [made["joined"], made["smooth_rows"], band_taps, made["band_views"]],
-        pictures * -(-height // AT_ONCE) * width, bands=sizes.bands,
-        fine=smooths.fine, coarse=smooths.coarse, **same,
+        pictures * -(-height // AT_ONCE) * width, bands=sizes.bands, fine=smooths.fine, coarse=smooths.coarse, **same,
     )  # fmt: skip
     chain.add(
-        "band_products", [made["band_views"], made["products"]],
-        planes * -(-small[0] // FEW) * small[1], height=height, width=width,
-        planes=planes,
+        "band_products", [made["band_views"], made["products"]], planes * -(-small[0] // FEW) * small[1], height=height,
+        width=width, planes=planes,
     )  # fmt: skip
     rest_px = math.sqrt(max(config.window_sigma_px**2 - SAMPLING_PX**2, 0.01))  # as `blur_evidence`
     add_gaussian(
@@ -456,12 +445,10 @@ def _add_correlation(
     """Append the correlations of P and Q, from their products in windows, and the powers seen in focus."""
     (height, width), config = (-(-n // 2) for n in plan.nodes.shape), plan.source.config
     chain.add(
-        "band_correlation", [products, *inputs, correlation],
-        sizes.bands * sizes.layers * sizes.pairs * height * width,
-        height=height, width=width,
-        bands=sizes.bands, layers_of_round=sizes.layers, pair_count=sizes.pairs, first_layer=sizes.part.begin,
-        all_pairs=len(plan.source.all_pairs), least_power=float(LEAST_POWER), least_seen=float(LEAST_SEEN),
-        allowed_growth=config.allowed_growth, takes_off=int(config.allowed_growth > 0),
+        "band_correlation", [products, *inputs, correlation], sizes.bands * sizes.layers * sizes.pairs * height * width,
+        height=height, width=width, bands=sizes.bands, layers_of_round=sizes.layers, pair_count=sizes.pairs,
+        first_layer=sizes.part.begin, all_pairs=len(plan.source.all_pairs), least_power=float(LEAST_POWER),
+        least_seen=float(LEAST_SEEN), allowed_growth=config.allowed_growth, takes_off=int(config.allowed_growth > 0),
         layer_count=sizes.part.end, primary_pairs=len(plan.source.blur.pairs), computed=len(plan.computed_px),
         of_all_pairs=plan.parts[0].end, kept_height=plan.samples[0], kept_width=plan.samples[1],
     )  # fmt: skip

@@ -92,8 +92,7 @@ def add_spectra(chain: Chain, windows: Windows, grid: WindowGrid, image: Array, 
         width=grid.width, window_rows=len(grid.rows), stride=grid.stride, side=windows.side, pairs=pairs
     )  # fmt: skip
     chain.add(
-        "window_rows", [image, shading, table, rows], rows.size // 4,
-        height=grid.height, **same,
+        "window_rows", [image, shading, table, rows], rows.size // 4, height=grid.height, **same,
     )  # fmt: skip
     chain.add(
         "window_spectra", [rows, table, numbers, taper, spectra], groups=groups_for(grid.count, 1),
@@ -114,8 +113,7 @@ def add_likelihood(
     by_slope = chain.array("by_slope", layers * slopes * windows)
     chain.add(
         "spectral_likelihood", [spectra, chain.constant("window_powers", powers), nodes, noise, by_slope],
-        groups=groups_for(slopes * windows, GROUP // _LANES),
-        windows=windows, slopes=slopes, node_count=node_count,
+        groups=groups_for(slopes * windows, GROUP // _LANES), windows=windows, slopes=slopes, node_count=node_count,
         layers=layers, frequencies=frequencies, rounds=source.config.rounds, first_rounds=FIRST_ROUNDS,
         channel_error=float(source.config.channel_error), first_correlation=FIRST_CORRELATION,
         least_amplitude=LEAST_AMPLITUDE, least_determinant=LEAST_DETERMINANT,
@@ -132,8 +130,8 @@ def _add_labels(
     same: dict[str, Any] = dict(windows=grid.count, slopes=slopes)
     of_slope, shares = (chain.array(name, n) for name, n in (("of_slope", slopes * grid.count), ("shares", slopes)))
     chain.add(
-        "slope_evidence", [by_slope, of_slope], grid.count,
-        layers=len(few_px), redundancy=float(windows.redundancy), **same,
+        "slope_evidence", [by_slope, of_slope], grid.count, layers=len(few_px), redundancy=float(windows.redundancy),
+        **same,
     )  # fmt: skip
     chain.add("slope_shares", [of_slope, shares], groups=(1,), rounds=LEARNING_ROUNDS, least_share=LEAST_SHARE, **same)
     map_ = source.pairs.label_map
@@ -143,10 +141,9 @@ def _add_labels(
     at_windows = chain.constant("window_label_map", np.stack(np.broadcast_arrays(begin, map_.scale), axis=-1))
     earned = chain.array("windows", grid.count * len(labels_px))
     chain.add(
-        "window_labels", [by_slope, shares, at_windows, earned], groups=groups_for(grid.count, 1),
-        layers=len(few_px), count=len(labels_px), redundancy=float(windows.redundancy),
-        area_px2=float(windows.area_px2), one_map=map_.is_identity,
-        first_label=float((labels_px[0] - few_px[0]) / step),
+        "window_labels", [by_slope, shares, at_windows, earned], groups=groups_for(grid.count, 1), layers=len(few_px),
+        count=len(labels_px), redundancy=float(windows.redundancy), area_px2=float(windows.area_px2),
+        one_map=map_.is_identity, first_label=float((labels_px[0] - few_px[0]) / step),
         label_step=float((labels_px[1] - labels_px[0]) / step), gain=float(config.gain),
         cap_nats=float(config.cap_nats), **same,
     )  # fmt: skip
@@ -195,8 +192,8 @@ def add_labels(
         arrays += [windows.earned, windows.usable]
         more = dict(window_rows=len(grid.rows), window_columns=len(grid.columns), stride=grid.stride)
     chain.add(
-        "labels_between", arrays, groups=groups_for(samples[1] * height, 1), uses=(uses,),
-        factors=float(plan.factors), **same, **more,
+        "labels_between", arrays, groups=groups_for(samples[1] * height, 1), uses=(uses,), factors=float(plan.factors),
+        **same, **more,
     )  # fmt: skip
 
 
@@ -223,9 +220,8 @@ def add_views_evidence(
         assert score is not None
         chain.add(
             "labels_read", [score, _label_map(chain, label_map, layers_px), usable, likelihood],
-            groups=groups_for(shape[0] * shape[1], 1),
-            height=shape[0], width=shape[1],
-            count=len(labels_px), factors=len(space.rows) - 1.0, views_of_score=len(space.rows), is_first=i == 0,
+            groups=groups_for(shape[0] * shape[1], 1), height=shape[0], width=shape[1], count=len(labels_px),
+            factors=len(space.rows) - 1.0, views_of_score=len(space.rows), is_first=i == 0,
             most_explained=MOST_EXPLAINED, weight=1 / len(source.spaces),
             **_polynomial(layers_px, labels_px, label_map),
         )  # fmt: skip

@@ -16,6 +16,11 @@ from chromaperture.matching.device.device import Array, Chain, Device, DeviceErr
 from chromaperture.matching.result import Disparity
 from chromaperture.system.errors import OutOfMemoryError
 
+MAPS = ("disparity", "sigma", "confidence")  # arrays that every method leaves, (H, W) each
+_MILLIMETRES = ("depth_mm", "sigma_mm")
+_COLOR = "color"
+_PLACES, _TAPS = 32, 8  # of OpenCV's Lanczos filter: places between two pixels, and samples
+
 
 @dataclass(frozen=True)
 class Conversion:
@@ -42,8 +47,7 @@ def add_conversion(chain: Chain, disparity: Array, sigma: Array, conversion: Con
     slope = [float(value) for value in curve.slope] or [0.0, 0.0]
     outputs = [chain.array(name, disparity.size) for name in ("depth_mm", "sigma_mm")]
     chain.add(
-        "conversion",
-        [disparity, sigma, chain.constant("fields", fields), chain.constant("curve", table), *outputs],
+        "conversion", [disparity, sigma, chain.constant("fields", fields), chain.constant("curve", table), *outputs],
         disparity.size, uses=(uses,), pixels=disparity.size, table_count=count, **of_fields,
         first_px=float(curve.first_px), last_px=float(curve.last_px), per_px=(count - 1) / span if count else 0.0,
         low_px=float(curve.low_px), high_px=float(curve.high_px), slope=slope, slope_count=len(slope),
@@ -74,9 +78,6 @@ def _smooth(conversion: Conversion) -> tuple[str, np.ndarray, dict[str, Any]]:
     return "fields_smooth", np.concatenate([np.asarray(part, np.float32).ravel() for part in parts]), of_fields
 
 
-_PLACES, _TAPS = 32, 8  # of OpenCV's Lanczos filter: places between two pixels, and samples
-
-
 @dataclass(frozen=True)
 class Alignment:
     """What the alignment needs to know besides a disparity."""
@@ -104,14 +105,14 @@ def add_alignment(chain: Chain, image: Array, disparity: Array, size: tuple[int,
     tables = [] if lens is None else [chain.constant("lens", lens.table), chain.constant("lanczos", lanczos_weights())]
     chain.add(
         "channels_shifted", [image, filled, nearest, shifted, visible, *tables], pixels,
-        uses=("moved_by_disparity" if lens is None else "moved_by_lens",),
-        occlusion_px=OCCLUSION_PX, **views, **of_lens,
+        uses=("moved_by_disparity" if lens is None else "moved_by_lens",), occlusion_px=OCCLUSION_PX, **views,
+        **of_lens,
     )  # fmt: skip
     color = chain.array("color", 3 * pixels)
     chain.add(
-        "hidden_filled", [shifted, visible, filled, color], pixels,
-        order=[float(k) for k in order], gains=np.ravel(alignment.gains), radius_px=RADIUS_PX,
-        same_surface_px=float(SAME_SURFACE_PX), fewest=float(FEWEST), ridge=RIDGE, **frame,
+        "hidden_filled", [shifted, visible, filled, color], pixels, order=[float(k) for k in order],
+        gains=np.ravel(alignment.gains), radius_px=RADIUS_PX, same_surface_px=float(SAME_SURFACE_PX),
+        fewest=float(FEWEST), ridge=RIDGE, **frame,
     )  # fmt: skip
 
 
@@ -127,8 +128,7 @@ def _add_filled(chain: Chain, disparity: Array, size: tuple[int, int], step: int
     chain.add("every_nth", [disparity, few], few.size, **of_few)
     _add_nearest(chain, few, few_filled, (few_tall, few_wide))
     chain.add(
-        "filled_from_few", [disparity, few_filled, filled], filled.size,
-        height=size[0], **of_few,
+        "filled_from_few", [disparity, few_filled, filled], filled.size, height=size[0], **of_few,
     )  # fmt: skip
     return filled
 
@@ -155,11 +155,6 @@ def lanczos_weights() -> np.ndarray:
     apart = np.arange(_PLACES)[:, None] / _PLACES - (np.arange(_TAPS) - 3)
     weights = np.sinc(apart) * np.sinc(apart / 4)
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
-
-
-MAPS = ("disparity", "sigma", "confidence")  # arrays that every method leaves, (H, W) each
-_MILLIMETRES = ("depth_mm", "sigma_mm")
-_COLOR = "color"
 
 
 class Extras(NamedTuple):

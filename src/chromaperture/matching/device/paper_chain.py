@@ -46,16 +46,14 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
         filtered = 4 * chunk.quads + (chunk.size == 4 * chunk.quads)
         add_recursions(chain, planes, maps, links, map_count=filtered, gain=1 - even, own=0.0, pitch=pitch)
         chain.add(
-            "running_winner", [maps, best], planes.pixels,
-            quads=chunk.quads,
-            pixels=planes.pixels, pitch=pitch, layer_count=chunk.size, first_layer=chunk.first,
+            "running_winner", [maps, best], planes.pixels, quads=chunk.quads, pixels=planes.pixels, pitch=pitch,
+            layer_count=chunk.size, first_layer=chunk.first,
         )  # fmt: skip
     peaks, ranges = (chain.array(name, count * planes.pixels) for name, count in (("peaks", 3), ("ranges", 2)))
     chain.add(
-        "peak", [best, peaks], planes.pixels,
-        pixels=planes.pixels, view_count=planes.view_count, total_layers=len(layers_px), first_px=first, step_px=step,
-        samples=independent_samples(config), sigma_scale=config.sigma_scale, range_sigma_px=sigma_of_range(layers_px),
-        max_sigma_px=MAX_SIGMA_PX,
+        "peak", [best, peaks], planes.pixels, pixels=planes.pixels, view_count=planes.view_count,
+        total_layers=len(layers_px), first_px=first, step_px=step, samples=independent_samples(config),
+        sigma_scale=config.sigma_scale, range_sigma_px=sigma_of_range(layers_px), max_sigma_px=MAX_SIGMA_PX,
     )  # fmt: skip
     of_square: dict[str, Any] = {
         "width": size[1],
@@ -72,10 +70,9 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
     outputs = [chain.array(name, planes.pixels) for name in ("disparity", "sigma", "confidence")]
     widest = sigma_of_range(layers_px)
     chain.add(
-        "peak_range", [peaks, ranges, unlike, *outputs], planes.pixels,
-        edge_share=config.edge_share, floor_px=config.floor_px / moved_px(space.directions),
-        hue_px=hue_share * widest, range_sigma_px=widest, max_sigma_px=MAX_SIGMA_PX,
-        confidence_scale_px=CONFIDENCE_SCALE_PX, **cells, **of_square,
+        "peak_range", [peaks, ranges, unlike, *outputs], planes.pixels, edge_share=config.edge_share,
+        floor_px=config.floor_px / moved_px(space.directions), hue_px=hue_share * widest, range_sigma_px=widest,
+        max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX, **cells, **of_square,
     )  # fmt: skip
 
 
@@ -87,12 +84,11 @@ def _add_unlike_share(
     count = cells["columns"] * cells["rows"]
     moments, share = chain.array("unlike_moments", 8 * count), chain.array("unlike_share", count)
     chain.add(
-        "unlike_moments", [planes.planes, peaks, moments], count,
-        width=planes.width, height=planes.height, view_count=planes.view_count, directions=np.ravel(directions),
-        cell=CELL_PX, **cells,
+        "unlike_moments", [planes.planes, peaks, moments], count, width=planes.width, height=planes.height,
+        view_count=planes.view_count, directions=np.ravel(directions), cell=CELL_PX, **cells,
     )  # fmt: skip
     chain.add(
-        "unlike_share", [moments, share], count,
-        view_count=planes.view_count, side=WINDOW_CELLS, least_variance=LEAST_VARIANCE, **cells,
+        "unlike_share", [moments, share], count, view_count=planes.view_count, side=WINDOW_CELLS,
+        least_variance=LEAST_VARIANCE, **cells,
     )  # fmt: skip
     return share, cells

@@ -28,8 +28,8 @@ def add_light_of_counts(chain: Chain, size: tuple[int, int], light: np.ndarray) 
     image = chain.array("image", 3 * height * width)
     counts, form = chain.array("counts", height * row_pitch(width), np.uint32), chain.array("form", 4, np.uint32)
     chain.add(
-        "light_of_counts", [counts, form, chain.constant("light", light), image],
-        height * width, width=width, height=height, saturation=SATURATION,
+        "light_of_counts", [counts, form, chain.constant("light", light), image], height * width, width=width,
+        height=height, saturation=SATURATION,
     )  # fmt: skip
     return image
 
@@ -47,9 +47,8 @@ def add_sparse_maps(
     down, across = -(-height // step), -(-width // step)
     sparse = chain.array("sparse", 3 * down * across, np.uint32)
     chain.add(
-        "sparse_maps", [*_shown(chain, maps), sparse], down * across,
-        step=step, sparse_width=across, sparse_height=down,
-        **_seen(size, shifts, balance),
+        "sparse_maps", [*_shown(chain, maps), sparse], down * across, step=step, sparse_width=across,
+        sparse_height=down, **_seen(size, shifts, balance),
     )  # fmt: skip
     return down, across
 
@@ -74,9 +73,9 @@ def add_colored_maps(
     pitch = row_pitch(width)
     look, picture = chain.array("look", 4), chain.array("picture", height * pitch, np.uint32)
     chain.add(
-        "colored_maps", [*_shown(chain, maps), chain.constant("colors", packed.ravel()), look, picture],
-        height * width, pitch=pitch,
-        is_depth=most_relative is not None, most_relative=float(most_relative or 0), **_seen(size, shifts, balance),
+        "colored_maps", [*_shown(chain, maps), chain.constant("colors", packed.ravel()), look, picture], height * width,
+        pitch=pitch, is_depth=most_relative is not None, most_relative=float(most_relative or 0),
+        **_seen(size, shifts, balance),
     )  # fmt: skip
 
 

@@ -96,10 +96,9 @@ def add_real_time(
     chain.add("surface", [smoothed, labels, ranges], quads, **between)
     chain.add(
         "surface_range", [ranges, smoothed, winner, labels, planes.planes, surface],
-        planes.width * -(-planes.height // 4),
-        layer_count=len(labels_px), widest_px=sigma_of_range(labels_px), scatter=SCATTER, bias=BIAS,
-        widest_share=WIDEST_SHARE, seen_reach=SEEN_REACH, mask_plane=(planes.view_count + 1) * planes.pixels,
-        edge_share=EDGE_SHARE, **between,
+        planes.width * -(-planes.height // 4), layer_count=len(labels_px), widest_px=sigma_of_range(labels_px),
+        scatter=SCATTER, bias=BIAS, widest_share=WIDEST_SHARE, seen_reach=SEEN_REACH,
+        mask_plane=(planes.view_count + 1) * planes.pixels, edge_share=EDGE_SHARE, **between,
     )  # fmt: skip
 
     if cell_px > 1:
@@ -109,8 +108,7 @@ def add_real_time(
     moved = float(np.linalg.norm(space.directions, axis=1).mean())  # px of the views a px of disparity
     outputs = [chain.array(name, height * width, np.float32) for name in ("disparity", "sigma", "confidence")]
     chain.add(
-        "enlarge", [surface, whole.full_guide, whole.stats, labels, lacking, *outputs],
-        height * width, guide_start=0,
+        "enlarge", [surface, whole.full_guide, whole.stats, labels, lacking, *outputs], height * width, guide_start=0,
         guide_scale=GUIDE_SCALE + 1, width=width, height=height, half_width=whole.width, jump_px=JUMP_PX,
         labelled=not label_map.is_identity, range_sigma_px=sigma_of_range(config.layers.values_px),
         floor_px=config.floor_px / moved, max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX, **cells,
@@ -137,23 +135,21 @@ def _add_paths(
         lines, rows = (planes.height, []) if along_row else (planes.width, costs[:2])
         chain.add(
             "four_paths", [likelihood, planes.planes, planes.stats, cost, *rows], groups=(-(-lines // (64 // _LANES)),),
-            uses=(exchange, "packed_costs", "own_of_rows" if along_row else "own_of_columns"),
-            direction=direction, row_share=paths.row_share, guide_plane=planes.view_count * planes.pixels,
-            pitch=pitch, jump=paths.jump_penalty, row_parts=parts, cost_parts=parts if direction < 3 else last_parts,
-            edge_range=paths.edge_range, edge_floor=paths.edge_floor,
-            ahead=_AHEAD, vectors=-(-pitch // (4 * _LANES)), **size,
+            uses=(exchange, "packed_costs", "own_of_rows" if along_row else "own_of_columns"), direction=direction,
+            row_share=paths.row_share, guide_plane=planes.view_count * planes.pixels, pitch=pitch,
+            jump=paths.jump_penalty, row_parts=parts, cost_parts=parts if direction < 3 else last_parts,
+            edge_range=paths.edge_range, edge_floor=paths.edge_floor, ahead=_AHEAD, vectors=-(-pitch // (4 * _LANES)),
+            **size,
         )  # fmt: skip
     winner, places = chain.array("winner", 3 * planes.pixels), chain.array("places", 2 * planes.pixels)
     chain.add(
-        "path_winner", [likelihood, *costs, winner, places], planes.pixels,
-        row_parts=parts, cost_parts=last_parts,
-        view_count=planes.view_count, temperature=paths.temperature,
-        farthest_of_five=FARTHEST_OF_FIVE, least_unexplained=LEAST_UNEXPLAINED,
-        least_unexplained_of_three=LEAST_UNEXPLAINED_OF_THREE, least_information=LEAST_INFORMATION, **size, **of_layers,
+        "path_winner", [likelihood, *costs, winner, places], planes.pixels, row_parts=parts, cost_parts=last_parts,
+        view_count=planes.view_count, temperature=paths.temperature, farthest_of_five=FARTHEST_OF_FIVE,
+        least_unexplained=LEAST_UNEXPLAINED, least_unexplained_of_three=LEAST_UNEXPLAINED_OF_THREE,
+        least_information=LEAST_INFORMATION, **size, **of_layers,
     )  # fmt: skip
     chain.add(
-        "beside_nearer", [winner, places], planes.pixels,
-        nearer_reach=NEARER_REACH, weight=BESIDE_NEARER, **size,
+        "beside_nearer", [winner, places], planes.pixels, nearer_reach=NEARER_REACH, weight=BESIDE_NEARER, **size,
     )  # fmt: skip
     return winner, places
 
@@ -170,9 +166,8 @@ def add_links(chain: Chain, planes: Planes, layers: Array, *, even: float, edge_
     """Add the weights of the links between neighbours, (2, h, w); ``layers`` is read only where ``by_layer``."""
     links = chain.array("links", 2 * planes.pixels)
     chain.add(
-        "links", [planes.planes, planes.stats, layers, links], planes.pixels,
-        width=planes.width, height=planes.height, guide_plane=planes.view_count * planes.pixels,
-        even_link=even, edge_range=edge_range, by_layer=by_layer,
+        "links", [planes.planes, planes.stats, layers, links], planes.pixels, width=planes.width, height=planes.height,
+        guide_plane=planes.view_count * planes.pixels, even_link=even, edge_range=edge_range, by_layer=by_layer,
     )  # fmt: skip
     return links
 
@@ -198,7 +193,7 @@ def add_recursions(
     for along_x, source, target in ((True, maps, between), (False, between, maps)):
         lines = planes.height if along_x else planes.width
         chain.add(
-            "smoothing", [source, links, target], groups=groups_for(lines * map_count, 8),
-            along_x=along_x, map_count=map_count, pitch=pitch, **frame,
+            "smoothing", [source, links, target], groups=groups_for(lines * map_count, 8), along_x=along_x,
+            map_count=map_count, pitch=pitch, **frame,
         )  # fmt: skip
     return maps

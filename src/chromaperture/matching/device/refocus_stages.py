@@ -106,8 +106,8 @@ class RefocusChain:
             chain.add("layer_blurred", [cells, kernel, facts[-1], blurred], count)
             self._over_box("layer_added", layer, [blurred, arrays["before"], facts[-1], arrays["total"], cover])
         chain.add(
-            "light_over_cover", [arrays["total"], arrays["refocused"]], self.pixels,
-            pixels=self.pixels, least_cover=LEAST_COVER,
+            "light_over_cover", [arrays["total"], arrays["refocused"]], self.pixels, pixels=self.pixels,
+            least_cover=LEAST_COVER,
         )  # fmt: skip
 
     def _over_box(self, stage: str, layer: RefocusLayer, arrays: list[Array]) -> None:

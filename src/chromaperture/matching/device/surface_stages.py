@@ -46,8 +46,7 @@ class Grid(NamedTuple):
 def per_pixel(chain: Chain, stage: str, arrays: list[Array], grid: Grid, **constants: Any) -> None:
     """Append a stage with one invocation for every pixel."""
     chain.add(
-        stage, arrays, grid.pixels,
-        height=grid.height, width=grid.width, **constants,
+        stage, arrays, grid.pixels, height=grid.height, width=grid.width, **constants,
     )  # fmt: skip
 
 
@@ -79,12 +78,11 @@ def add_paths(
     for i, (dx, dy) in enumerate((sign * x, sign * y) for x, y in LINES[: config.paths // 2] for sign in (1, -1)):
         lines = grid.height if dy == 0 else grid.width if dx == 0 else grid.height + grid.width - 1
         chain.add(
-            "volume_paths", [likelihood, guide, total], groups=(lines / (GROUP // lanes),),
-            height=grid.height, width=grid.width, count=grid.layers, lines=lines,
-            lanes=lanes, own_layers=own_layers, ahead=ahead, reach=min(lanes - 1, reach), dx=float(dx), dy=float(dy),
-            own=float(config.paths - 1), starts_total=i == 0,
-            slope=penalties.slope_per_layer, jump=penalties.jump,
-            edge_range=penalties.edge_range, edge_floor=penalties.edge_floor,
+            "volume_paths", [likelihood, guide, total], groups=(lines / (GROUP // lanes),), height=grid.height,
+            width=grid.width, count=grid.layers, lines=lines, lanes=lanes, own_layers=own_layers, ahead=ahead,
+            reach=min(lanes - 1, reach), dx=float(dx), dy=float(dy), own=float(config.paths - 1), starts_total=i == 0,
+            slope=penalties.slope_per_layer, jump=penalties.jump, edge_range=penalties.edge_range,
+            edge_floor=penalties.edge_floor,
         )  # fmt: skip
 
 
@@ -109,8 +107,7 @@ def add_gaussian(
     for before, after, along_x in ((source or values, between, True), (between, values, False)):
         lines, across = (height, width) if along_x else (width, height)
         chain.add(
-            "gaussian_line", [before, filter_taps, after],
-            planes * lines * -(-across // AT_ONCE) * parts,
+            "gaussian_line", [before, filter_taps, after], planes * lines * -(-across // AT_ONCE) * parts,
             height=height, width=width, planes=planes, parts=parts, reach=len(taps) // 2, along_x=along_x,
         )  # fmt: skip
 
@@ -139,14 +136,14 @@ def add_path_surface(
     taps = gaussian_taps(config.interpolation_sigma_px)
     for i in range(TANGENTS):
         per_pixel(
-            chain, "layer_tangents", [winner, offset, tangents], grid,
-            is_first=i == 0, least_unexplained=LEAST_UNEXPLAINED,
+            chain, "layer_tangents", [winner, offset, tangents], grid, is_first=i == 0,
+            least_unexplained=LEAST_UNEXPLAINED,
         )  # fmt: skip
         add_gaussian(chain, tangents, averages, (grid.height, grid.width), taps, parts=2)
         per_pixel(chain, "layer_offsets", [winner, tangents, offset, label], grid)
     per_pixel(
-        chain, "volume_posterior", [cost, posterior], grid,
-        count=grid.layers, temperature=config.temperature * config.paths,
+        chain, "volume_posterior", [cost, posterior], grid, count=grid.layers,
+        temperature=config.temperature * config.paths,
     )  # fmt: skip
 
 
@@ -156,7 +153,7 @@ def add_block_sums(chain: Chain, likelihood: Array, grid: Grid, size: int) -> Ar
     blocks = chain.array("blocks", entries)
     if entries > 0:
         chain.add(
-            "block_sums", [likelihood, blocks], entries,
-            height=grid.height, width=grid.width, count=grid.layers, size=size,
+            "block_sums", [likelihood, blocks], entries, height=grid.height, width=grid.width, count=grid.layers,
+            size=size,
         )  # fmt: skip
     return blocks

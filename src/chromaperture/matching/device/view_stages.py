@@ -31,7 +31,8 @@ _MOST_CONSTANTS = 24  # pixels of a Gaussian whose weights the shader names; mor
 SAMPLES_AT_ONCE = 8  # that `guide_scale` reads before it counts them; by hand
 STATS = 16  # numbers of `shared`'s `stats`
 _USABLE_AT, _VARIANCE_AT = 4, 8
-GUIDE_SCALE = 12  # place of the unit of the matched guide; that of the full one follows
+GUIDE_SCALE = 12  # place of the unit of the matched guide; that of the full one follows, and that of a reduced picture
+_SLOT = 2  # of the last
 
 
 class Planes(NamedTuple):
@@ -77,13 +78,11 @@ def add_halved_views(
     raw, smoothed = (chain.array(name, (count + 2) * plane) for name in ("planes_raw", "planes"))
     mixing = _mixing(space, width, height) | {"half_width": half_width, "whole": True}
     chain.add(
-        "halve_rows", [image, stats, tall, full_guide],
-        -(-half_width // 4) * height, **mixing,
+        "halve_rows", [image, stats, tall, full_guide], -(-half_width // 4) * height, **mixing,
     )  # fmt: skip
     chain.add(
-        "halve_columns", [tall, stats, raw],
-        (count + 2) * half_width * -(-half_height // 4),
-        width=half_width, height=half_height, tall_height=height, plane_count=count + 2, view_count=count,
+        "halve_columns", [tall, stats, raw], (count + 2) * half_width * -(-half_height // 4), width=half_width,
+        height=half_height, tall_height=height, plane_count=count + 2, view_count=count,
     )  # fmt: skip
     planes = Planes(smoothed, stats, full_guide, half_width, half_height, count)
     # Of all planes, though only views and usable share are read: the guide between them is as cheap.
@@ -91,13 +90,13 @@ def add_halved_views(
     bands: dict[str, Any] = {"band_height": len(taps) // 2, "band_count": -(-half_height // (len(taps) // 2))}
     unusable = chain.array("unusable", bands["band_count"] * half_width, np.uint32)
     chain.add(
-        "unusable", [raw, unusable], unusable.size,
-        width=half_width, height=half_height, view_count=count, usable_share=USABLE, **bands,
+        "unusable", [raw, unusable], unusable.size, width=half_width, height=half_height, view_count=count,
+        usable_share=USABLE, **bands,
     )  # fmt: skip
     around = _add_blur(chain, raw, planes, taps, first=0, count=count + 2, sparse=(unusable, bands))
     chain.add(
-        "fill", [around, stats, raw, smoothed], plane,
-        plane=plane, view_count=count, usable_share=USABLE, fill_units=FILL_UNITS,
+        "fill", [around, stats, raw, smoothed], plane, plane=plane, view_count=count, usable_share=USABLE,
+        fill_units=FILL_UNITS,
     )  # fmt: skip
     views = raw if space.moves_px is None else _add_moves(chain, raw, planes, space.moves_px, size)
     _add_smoothing(chain, raw, planes, config, whole=True, views=views)
@@ -115,10 +114,10 @@ def add_two_views(chain: Chain, image: Array, size: tuple[int, int], rows: np.nd
     lacking = chain.array("lacking", cells["cells_x"] * cells["cells_y"])
     red, green, blue = (float(matched) for matched in np.any(rows, axis=0))
     chain.add(
-        "two_views", [image, lacking], lacking.size,
-        width=width, spacing=spacing, first_x=first_x, first_y=first_y, samples_x=samples_x, samples_y=samples_y,
-        per_cell_x=samples_x / cells["cells_x"], per_cell_y=samples_y / cells["cells_y"], dark=DARK,
-        matched_red=red, matched_green=green, matched_blue=blue, **cells,
+        "two_views", [image, lacking], lacking.size, width=width, spacing=spacing, first_x=first_x, first_y=first_y,
+        samples_x=samples_x, samples_y=samples_y, per_cell_x=samples_x / cells["cells_x"],
+        per_cell_y=samples_y / cells["cells_y"], dark=DARK, matched_red=red, matched_green=green, matched_blue=blue,
+        **cells,
     )  # fmt: skip
     return lacking, cells
 
@@ -141,8 +140,8 @@ def _add_light(chain: Chain, image: Array, pixels: int, space: ViewSpace) -> Arr
     numbers: dict[str, Any] = {"pixels": pixels, "part_count": parts, "saturation": SATURATION}
     chain.add("light", [image, sums], groups=(parts,), **numbers)
     chain.add(
-        "light_sum", [sums, stats], groups=(1,), guide_rgb=np.ravel(space.guide_rgb),
-        light_bits=LIGHT_BITS, least_exponent=LEAST_EXPONENT, **numbers,
+        "light_sum", [sums, stats], groups=(1,), guide_rgb=np.ravel(space.guide_rgb), light_bits=LIGHT_BITS,
+        least_exponent=LEAST_EXPONENT, **numbers,
     )  # fmt: skip
     return stats
 
@@ -160,8 +159,7 @@ def _add_moves(chain: Chain, raw: Array, planes: Planes, moves_px: np.ndarray, s
     packed = moves[..., 0].astype(np.uint16) | (moves[..., 1].astype(np.uint16).astype(np.uint32) << 16)
     views = chain.array("planes_moved", planes.view_count * planes.pixels)
     chain.add(
-        "moved_views", [raw, chain.constant("moves", packed.astype(np.uint32)), planes.stats, views],
-        views.size,
+        "moved_views", [raw, chain.constant("moves", packed.astype(np.uint32)), planes.stats, views], views.size,
         width=planes.width, height=planes.height, view_count=planes.view_count, move_parts=MOVE_PARTS,
     )  # fmt: skip
     return views
@@ -196,9 +194,9 @@ def _add_guide_scale(
     across, down = -(-width // sparse), -(-height // sparse)
     low, high = (share * (across * down - 1) for share in (0.01, 0.99))  # places among the sorted, as NumPy's
     chain.add(
-        "guide_scale", [guide, stats], groups=(1,),
-        first=first, width=width, sparse=sparse, sparse_width=across, sparse_count=across * down,
-        low_place=low, high_place=high, slot=slot, at_once=SAMPLES_AT_ONCE, guide_range=config.guide_range,
+        "guide_scale", [guide, stats], groups=(1,), first=first, width=width, sparse=sparse, sparse_width=across,
+        sparse_count=across * down, low_place=low, high_place=high, slot=slot, at_once=SAMPLES_AT_ONCE,
+        guide_range=config.guide_range,
     )  # fmt: skip
 
 
@@ -247,10 +245,9 @@ def _add_pass(
         arrays.append(chain.arrays.get(name) or chain.constant(name, weights))
         uses, constants = "blur_long", {}
     chain.add(
-        "blur", arrays, -(-along // 4) * across, uses=(uses,),
-        width=planes.width, height=planes.height, first_plane=first, plane_count=count, along_x=along_x,
-        replicate=sparse is None, sparse=sparse is not None, whole=whole, **bands, reach=len(taps) // 2,
-        span=len(weights), **constants,
+        "blur", arrays, -(-along // 4) * across, uses=(uses,), width=planes.width, height=planes.height,
+        first_plane=first, plane_count=count, along_x=along_x, replicate=sparse is None, sparse=sparse is not None,
+        whole=whole, **bands, reach=len(taps) // 2, span=len(weights), **constants,
     )  # fmt: skip
 
 
@@ -268,9 +265,6 @@ def _gaussian(sigma_px: float, size: int) -> list[float]:
     return [float(tap) for tap in cv2.getGaussianKernel(size, sigma_px, cv2.CV_64F)[:, 0]]
 
 
-_SLOT = 2  # of the guide's unit among those of `shared`'s `stats`, behind those of the matched and the full guide
-
-
 class Reduction(NamedTuple):
     """The working scale of a method."""
 
@@ -282,8 +276,7 @@ def add_reduced(chain: Chain, image: Array, size: tuple[int, int], reduction: Re
     """Add `working_scale.reduced` of an image of ``size`` (H, W); return the picture, (h, w, 3)."""
     small = chain.array("reduced", 3 * reduction.size_px[0] * reduction.size_px[1])
     chain.add(
-        "reduce", [image, small], small.size // 3,
-        saturation=SATURATION, **_sides(size, reduction),
+        "reduce", [image, small], small.size // 3, saturation=SATURATION, **_sides(size, reduction),
     )  # fmt: skip
     return small
 
@@ -297,20 +290,19 @@ def add_upsampled(
     coarse, stats = chain.array("coarse", 4 * pixels), chain.arrays["stats"]
     rgb = np.ravel(reduction.guide_rgb)
     chain.add(
-        "coarse_maps", [small, *(chain.arrays[name] for name in names), coarse], pixels,
-        pixels=pixels, guide_rgb=rgb,
+        "coarse_maps", [small, *(chain.arrays[name] for name in names), coarse], pixels, pixels=pixels, guide_rgb=rgb,
     )  # fmt: skip
     width = reduction.size_px[0]
     low, high = (share * (pixels - 1) for share in (0.01, 0.99))  # places among the sorted, as NumPy's
     chain.add(
-        "guide_scale", [coarse, stats], groups=(1,),
-        first=3 * pixels, width=width, sparse=1, sparse_width=width, sparse_count=pixels,
-        low_place=low, high_place=high, slot=_SLOT, at_once=SAMPLES_AT_ONCE, guide_range=guide_range,
+        "guide_scale", [coarse, stats], groups=(1,), first=3 * pixels, width=width, sparse=1, sparse_width=width,
+        sparse_count=pixels, low_place=low, high_place=high, slot=_SLOT, at_once=SAMPLES_AT_ONCE,
+        guide_range=guide_range,
     )  # fmt: skip
     outputs = [chain.array(name, size[0] * size[1]) for name in names]
     chain.add(
-        "upsample", [image, coarse, stats, *outputs], size[0] * size[1],
-        guide_rgb=rgb, jump_px=JUMP_PX, least_weight=LEAST_WEIGHT, **_sides(size, reduction),
+        "upsample", [image, coarse, stats, *outputs], size[0] * size[1], guide_rgb=rgb, jump_px=JUMP_PX,
+        least_weight=LEAST_WEIGHT, **_sides(size, reduction),
     )  # fmt: skip
 
 
