@@ -47,8 +47,7 @@ from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.matching.device import accurate_chain, gpu_method
-from chromaperture.matching.device.device import Device, Ticket
-from chromaperture.matching.device.planned_chain import Exchange, PlannedChain
+from chromaperture.matching.device.device import Device, Exchange, PlannedChain
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import CameraSensor, Film, Lens
 from chromaperture.optics.aperture import DESIGNS, channel_transmission, made_of
@@ -166,9 +165,9 @@ class RecordedChain(PlannedChain):
     sent: dict[str, str]
 
     def __init__(self, device: Device) -> None:
-        super().__init__("single" if device.info.is_software else "quad")
+        super().__init__("quad" if device.subgroups else "shared")
 
-    def start(self, inputs: Mapping[str, np.ndarray], outputs: Sequence[str]) -> Ticket:
+    def start(self, inputs: Mapping[str, np.ndarray], outputs: Sequence[str]) -> None:
         number = {name: i for i, name in enumerate(self.arrays)}
         called = [(d.groups, [number[a.name] for a in d.arrays]) for d in self.dispatches]
         values = {number[name]: value for name, value in (self.values | dict(inputs)).items()}
@@ -177,12 +176,11 @@ class RecordedChain(PlannedChain):
             "dispatches": digest(called, [a[2:4] for a in self.arrays.values()], [number[name] for name in outputs]),
             "inputs": digest(*(part for i in sorted(values) for part in (i, values[i]))),
         }
-        return Ticket(0, ())
 
 
 def of_chains() -> Found:
-    """Large pictures for a device with subgroups, small ones for software."""
-    for size, device in ((SIZE, PlannedChain("quad").device), (SMALL, PlannedChain("single").device)):
+    """Large pictures for a device with subgroups, small ones for one without."""
+    for size, device in ((SIZE, PlannedChain("quad").device), (SMALL, PlannedChain("shared").device)):
         with (
             mock.patch.multiple(gpu_method, open_device=lambda _, d=device: d, Chain=RecordedChain),
             mock.patch.object(accurate_chain, "Chain", RecordedChain),

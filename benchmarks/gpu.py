@@ -25,8 +25,7 @@ from chromaperture.camera.camera import CodedApertureCamera, load_camera
 from chromaperture.camera.method import default_config
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.matching.device.accurate_chain import AccurateChain
-from chromaperture.matching.device.device import Chain
-from chromaperture.matching.device.stage_timing import pass_times_ms, stage_times_ms
+from chromaperture.matching.device.device import Chain, pass_times_ms, stage_times_ms
 from chromaperture.products.samples import open_sample
 from chromaperture.system.errors import CaptureWarning
 from chromaperture.system.threads import limited_threads, thread_count

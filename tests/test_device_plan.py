@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import struct
 import zlib
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,8 +22,8 @@ from chromaperture.color.color_maps import DISTANCE, ERROR, draw_levels
 from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.depth.pointcloud import depth_to_points
-from chromaperture.matching.device.conversion_stage import add_conversion
 from chromaperture.matching.device.device import Chain, open_device
+from chromaperture.matching.device.measured import add_conversion
 from chromaperture.matching.device.picture_stages import (
     add_colored_maps,
     add_light_of_counts,
@@ -109,13 +108,12 @@ def test_a_plan_has_the_curves_of_the_camera(camera):
     assert any("lens cap" in sentence for sentence in sentences)
 
 
-@pytest.mark.parametrize(("exchange", "has_quads"), [("quad", True), ("shared", False), ("single", False)])
+@pytest.mark.parametrize(("exchange", "has_quads"), [("quad", True), ("shared", False)])
 def test_paths_are_those_that_the_device_can(camera, exchange, has_quads):
     text, _ = unpacked(make_plan(camera, exchange, {}))
     assert any("quadSwapX" in source for source in text["sources"]) == has_quads
     groups = {step["groups"][0] for step in text["measure"] if step["stage"] == "four_paths"}
-    lanes = 1 if exchange == "single" else 4
-    assert groups == {-(-lines // (64 // lanes)) for lines in (30, 45)}  # rows and columns of the cells
+    assert groups == {-(-lines // 16) for lines in (30, 45)}  # rows and columns of the cells
 
 
 def test_points_are_those_of_the_command_line(camera):
@@ -172,11 +170,9 @@ def marked(test):
 
 @marked
 def test_a_plan_is_the_chain_that_python_runs(camera):
-    exchange = "quad" if open_device("gpu").subgroups else "single"
+    exchange = "quad" if open_device("gpu").subgroups else "shared"
     text, array = unpacked(make_plan(camera, exchange, {}))
-    device = open_device("gpu")  # a browser does not tell software that has subgroups from other devices
-    info = device.info._replace(kind="DiscreteGPU" if exchange == "quad" else "CPU")
-    chain, size = Chain(replace(device, info=info)), SIZE_PX[::-1]
+    chain, size = Chain(open_device("gpu")), SIZE_PX[::-1]
     image = chain.array("image", 3 * size[0] * size[1])
     add_real_time(chain, image, size, camera.method.config, camera.method.space, camera.method.label_map)
     add_conversion(chain, chain.arrays["disparity"], chain.arrays["sigma"], camera.conversion)

@@ -19,7 +19,7 @@ from chromaperture.depth.conversion import DepthModel
 from chromaperture.matching.device import device as device_file
 from chromaperture.matching.device.device import AdapterInfo, DeviceError, adapters, open_device
 from chromaperture.matching.device.gpu_method import DeviceMethod, GpuMethod, chosen_device, on_device
-from chromaperture.matching.device.measured import Further
+from chromaperture.matching.device.measured import Extras
 from chromaperture.matching.estimate import method_for
 from chromaperture.matching.labels import IDENTITY
 from chromaperture.settings.methods import PaperConfig, RealTimeConfig
@@ -132,12 +132,12 @@ def test_a_picture_without_anything_to_match_is_refused_as_on_the_cpu(fill, word
 def test_two_frames_are_under_way_at_a_time_and_keep_their_order():
     method, image = real_time()
     whole = GpuMethod(REAL_TIME, method.space, IDENTITY, open_device("gpu"))
-    chain = whole._composed(SHAPE, Further())
+    chain = whole._composed(SHAPE, Extras())
     other = wavy_capture("cy_halves", shape=SHAPE, seed=8)
     one_by_one = [chain.run({"image": each}, ["disparity"])["disparity"] for each in (image, other)]
-    tickets = [chain.start({"image": each}, ["disparity"]) for each in (image, other)]
-    for ticket, expected in zip(tickets, one_by_one, strict=True):
-        np.testing.assert_array_equal(chain.finish(ticket)["disparity"], expected)
+    pending = [chain.start({"image": each}, ["disparity"]) for each in (image, other)]
+    for each, expected in zip(pending, one_by_one, strict=True):
+        np.testing.assert_array_equal(each.result()["disparity"], expected)
     assert not np.array_equal(*one_by_one, equal_nan=True)
 
 
@@ -170,10 +170,10 @@ def test_a_device_lost_with_two_frames_under_way_leaves_both_to_the_cpu():
     other = wavy_capture("cy_halves", shape=SHAPE, seed=8)
     device = device_of_its_own()
     on_both = DeviceMethod(GpuMethod(REAL_TIME, method.space, IDENTITY, device), method, may_fall_back=True)
-    waiting = [on_both.start(each) for each in (image, other)]
+    pending = [on_both.start(each) for each in (image, other)]
     device.handle.destroy()
     with pytest.warns(CaptureWarning, match="on the CPU from here on") as said:
-        found = [on_both.finish(each) for each in waiting]
+        found = [each.result() for each in pending]
     assert len(said) == 1
     for each, one in zip((image, other), found, strict=True):
         np.testing.assert_array_equal(one.disparity.value_px, method.match(each).value_px)

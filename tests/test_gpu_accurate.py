@@ -12,7 +12,7 @@ from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.matching.device.accurate_chain import AccurateOnDevice
 from chromaperture.matching.device.device import DeviceError
 from chromaperture.matching.device.gpu_method import DeviceMethod
-from chromaperture.matching.device.measured import Further
+from chromaperture.matching.device.measured import Extras
 from chromaperture.matching.estimate import method_for
 from chromaperture.matching.labels import IDENTITY
 from chromaperture.products.samples import open_sample
@@ -127,7 +127,7 @@ def test_a_device_lost_in_mid_stream_is_an_error_or_the_cpu_once():
     for may_fall_back in (False, True):
         device = device_of_its_own()
         on_both = DeviceMethod(AccurateOnDevice(camera.method, device), camera.method, may_fall_back)
-        measured = on_both.measure(image, Further(camera.conversion, camera.device_alignment))
+        measured = on_both.measure(image, Extras(camera.conversion, camera.device_alignment))
         assert np.isfinite(measured.disparity.value_px).any()
         assert measured.depth_mm is None  # the CPU makes what is asked for besides
         assert measured.color is None
@@ -150,7 +150,7 @@ def test_a_photograph_is_sent_up_before_the_one_before_comes_down():
     alone = [on_gpu.match(picture).value_px for picture in pictures]
     begun = [on_gpu.start(picture) for picture in pictures]
     for one, expected in zip(begun, alone, strict=True):
-        np.testing.assert_array_equal(on_gpu.finish(one).disparity.value_px, expected)
+        np.testing.assert_array_equal(one.result().disparity.value_px, expected)
     assert not np.array_equal(*alone, equal_nan=True)
 
 

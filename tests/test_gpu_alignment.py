@@ -17,9 +17,8 @@ from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
 from chromaperture.color.alignment import align_channels, fill_unknown, white_balance
 from chromaperture.color.visibility import visible_from
-from chromaperture.matching.device.alignment_stage import Alignment, add_alignment
 from chromaperture.matching.device.device import Chain, open_device
-from chromaperture.matching.device.measured import Further, add_further
+from chromaperture.matching.device.measured import Alignment, Extras, add_alignment, add_extras
 from chromaperture.products.samples import open_sample
 from chromaperture.system.errors import CaptureWarning
 from devices import needs_device
@@ -122,11 +121,11 @@ def camera_of(name: str, scale: int) -> tuple[CodedApertureCamera, np.ndarray]:
     return CodedApertureCamera(camera.calibration, config), image
 
 
-def chain_behind_disparity(size: tuple[int, int], further: Further) -> Chain:
+def chain_behind_disparity(size: tuple[int, int], extras: Extras) -> Chain:
     """From ``disparity``, ``sigma`` and ``image`` of (H, W) to what is asked for."""
     chain, pixels = Chain(open_device("gpu")), size[0] * size[1]
     image, *_ = (chain.array(name, n * pixels) for name, n in (("image", 3), ("disparity", 1), ("sigma", 1)))
-    add_further(chain, image, size, further)
+    add_extras(chain, image, size, extras)
     return chain
 
 
@@ -141,7 +140,7 @@ def test_channels_displaced_by_the_lens_are_aligned_as_by_the_cpu(name, scale, r
     disparity[rng.uniform(size=disparity.shape) < 0.1] = np.nan
     disparity[5:30, 90:120] = np.nan
     expected = camera.alignment.align(image, disparity)
-    chain = chain_behind_disparity(disparity.shape, Further(None, camera.device_alignment))
+    chain = chain_behind_disparity(disparity.shape, Extras(None, camera.device_alignment))
     found = chain.run({"image": image, "disparity": disparity}, ["color"])["color"].reshape(image.shape)
     error = np.abs(found - expected)
     # Lanczos' places are rounded to 1 / 32 px, and 32 bits round a few in a thousand to the next one.

@@ -15,10 +15,9 @@ import numpy as np
 import pytest
 
 from chromaperture.effects.refocusing import Focus, refocus
-from chromaperture.matching.device.conversion_stage import Conversion
 from chromaperture.matching.device.device import Chain, open_device
 from chromaperture.matching.device.gpu_method import GpuMethod
-from chromaperture.matching.device.measured import NOTHING, Further
+from chromaperture.matching.device.measured import NO_EXTRAS, Conversion, Extras
 from chromaperture.matching.device.refocus_stages import RefocusChain, inputs_of
 from chromaperture.matching.device.surface_stages import Grid, add_block_sums, add_path_surface
 from chromaperture.matching.estimate import method_for
@@ -27,7 +26,7 @@ from chromaperture.settings.methods import RealTimeConfig
 from chromaperture.settings.stages import SurfaceConfig
 from devices import EXPECTED, needs_device
 from test_gpu_alignment import camera_of, chain_behind_disparity
-from test_gpu_surface import device_as, volume
+from test_gpu_surface import volume
 from worlds import wavy_capture
 
 SHAPE = (60, 84)
@@ -112,7 +111,7 @@ def test_a_frame_in_a_browser_is_that_of_python(design, moved, tmp_path, rng):
     image[3, 4] = np.nan
     on_device = GpuMethod(config, method.space, IDENTITY, open_device("gpu"))
     expected = on_device.match(image).value_px
-    chain = on_device._composed(SHAPE, NOTHING)
+    chain = on_device._composed(SHAPE, NO_EXTRAS)
     found = in_browser(recorded(chain, {"image": image}, "disparity"), tmp_path / "profile").reshape(SHAPE)
     assert (np.isnan(found) == np.isnan(expected)).mean() > 0.999
     error = np.abs(found - expected)[np.isfinite(found) & np.isfinite(expected)]
@@ -128,7 +127,7 @@ def test_colours_and_depth_of_a_disparity_in_a_browser(scale, tmp_path, rng):
     disparity[rng.uniform(size=disparity.shape) < 0.2] = np.nan
     field = camera.calibration.depth["accurate"]
     numbers = Conversion(*field.in_numbers(image.shape[1], image.shape[0]), 50_000.0)
-    chain = chain_behind_disparity(disparity.shape, Further(numbers, camera.device_alignment))
+    chain = chain_behind_disparity(disparity.shape, Extras(numbers, camera.device_alignment))
     inputs = {"image": image, "disparity": disparity, "sigma": sigma}
     expected = chain.run(inputs, ["color", "depth_mm"])
     color = in_browser(recorded(chain, inputs, "color"), tmp_path / "one")
@@ -137,11 +136,10 @@ def test_colours_and_depth_of_a_disparity_in_a_browser(scale, tmp_path, rng):
     np.testing.assert_allclose(depth, expected["depth_mm"], rtol=1e-4)  # A - d in 32 bits
 
 
-@pytest.mark.parametrize("software", [True, False])
-def test_stages_of_accurate_in_a_browser(software, tmp_path, rng):
-    """Paths, posterior and sums of blocks: both forms of shaders that have two."""
+def test_stages_of_accurate_in_a_browser(tmp_path, rng):
+    """Paths, posterior and sums of blocks."""
     likelihood, guide = volume(rng, 20, 26, 33)
-    chain, grid = Chain(device_as(software=software)), Grid(*likelihood.shape)
+    chain, grid = Chain(open_device("gpu")), Grid(*likelihood.shape)
     arrays = [chain.array(name, n) for name, n in (("likelihood", grid.size), ("guide", grid.pixels))]
     add_path_surface(chain, *arrays, grid, np.linspace(-4, 4, 33), config=SurfaceConfig())
     add_block_sums(chain, arrays[0], grid, 4)

@@ -25,8 +25,7 @@ class Case:
 
     def __init__(self, design, shape, noise, label_map, *, half_range=5, gains=(1, 1, 1), config=None):
         from chromaperture.matching.device.device import Chain
-        from chromaperture.matching.device.evidence_plan import plan_evidence
-        from chromaperture.matching.device.evidence_stages import add_evidence
+        from chromaperture.matching.device.evidence_stages import add_evidence, plan_evidence
         from chromaperture.matching.device.label_stages import add_labels
 
         height, width = shape
@@ -121,7 +120,7 @@ def test_channels_that_fall_where_others_rise_are_evidence_too(design, secondary
     assert (expected.max(axis=2).mean() > 1.5 * positive_only + 0.5) == earns
 
 
-# One to three passes behind the first, every radix of `fourier.wgsl`; 1024 is the longest line.
+# One to three passes behind the first, every radix of `fourier`; 1024 is the longest line.
 @pytest.mark.parametrize("span", [6, 20, 40, 48, 54, 64, 90, 108, 160, 192, 256, 432, 1000, 1024])
 def test_transforms_of_every_radix_are_those_of_numpy(span, rng):
     from chromaperture.matching.device.device import Chain
@@ -145,12 +144,12 @@ def test_transforms_of_every_radix_are_those_of_numpy(span, rng):
 
 def test_layers_in_rounds_are_the_same(monkeypatch):
     """Where memory holds few layers at once, they go through one after the other."""
-    from chromaperture.matching.device import evidence_plan
+    from chromaperture.matching.device import evidence_stages
 
     whole = Case("cy_halves", (40, 44), True, IDENTITY).run("correlation")["correlation"]
     sizes = []
     for budget in (1 << 24, 1):
-        monkeypatch.setattr(evidence_plan, "ROUND_BYTES", budget)
+        monkeypatch.setattr(evidence_stages, "ROUND_BYTES", budget)
         case = Case("cy_halves", (40, 44), True, IDENTITY)
         sizes.append(len(case.chain.dispatches))
         np.testing.assert_allclose(case.run("correlation")["correlation"], whole, atol=1e-5)
@@ -159,7 +158,7 @@ def test_layers_in_rounds_are_the_same(monkeypatch):
 
 def test_tiles_that_are_too_large_are_refused():
     from chromaperture.matching.device.device import DeviceError
-    from chromaperture.matching.device.evidence_plan import plan_evidence
+    from chromaperture.matching.device.evidence_stages import plan_evidence
 
     source = BlurEvidence(
         CrossFilterConfig(), lens_blur(LENS, 6000, 4000), IDENTITY, ESTIMATED_NOISE, execution_named("numpy")

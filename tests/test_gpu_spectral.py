@@ -15,7 +15,7 @@ from chromaperture.matching.readable.tiles import without_shading
 from chromaperture.matching.result import NoiseModel
 from chromaperture.settings.stages import CrossFilterConfig, SpectralConfig
 from test_gpu_evidence import LENS, bent
-from test_gpu_surface import any_device, device_as
+from test_gpu_surface import any_device
 from test_spectral_evidence import example
 from worlds import blurred, lens_blur
 
@@ -46,7 +46,7 @@ def picture(source, seed):
 @given(st.sampled_from([(8.0, 10), (11.0, 7)]), st.integers(0, 2**32 - 1))
 def test_spectra_agree(window, seed):
     from chromaperture.matching.device.device import Chain
-    from chromaperture.matching.device.spectral_stages import WindowGrid, add_spectra
+    from chromaperture.matching.device.label_stages import WindowGrid, add_spectra
 
     source = source_for(IDENTITY, SpectralConfig(taper_px=window[0], stride_px=window[1]))
     image = picture(source, seed)
@@ -62,12 +62,11 @@ def test_spectra_agree(window, seed):
     np.testing.assert_allclose(found[:, :, 0] + 1j * found[:, :, 1], expected, atol=1e-5 * np.abs(expected).max())
 
 
-def likelihood_on_device(spectra, powers, node, noise, config, *, as_software=True):
-    """In the form for software, where one invocation has a window, or in that for GPUs, where eight share it."""
+def likelihood_on_device(spectra, powers, node, noise, config):
     from chromaperture.matching.device.device import Chain
-    from chromaperture.matching.device.spectral_stages import add_likelihood
+    from chromaperture.matching.device.label_stages import add_likelihood
 
-    chain = Chain(device_as(software=as_software))
+    chain = Chain(any_device())
     parts = np.stack([spectra.real, spectra.imag], axis=2)
     arrays = [
         chain.constant(name, values)
@@ -79,13 +78,13 @@ def likelihood_on_device(spectra, powers, node, noise, config, *, as_software=Tr
 
 
 @settings(max_examples=8, deadline=None)
-@given(st.booleans(), st.integers(0, 2**32 - 1))
-def test_likelihoods_of_any_covariance_agree(as_software, seed):
+@given(st.integers(0, 2**32 - 1))
+def test_likelihoods_of_any_covariance_agree(seed):
     config = SpectralConfig(slopes=(1.0,), channel_error=0.01)
     made = example(np.random.default_rng(seed))
     expected = stages.spectral_likelihood(*made, channel_error=config.channel_error, rounds=config.rounds)
     # Single precision, of some hundred nats.
-    found = likelihood_on_device(*made, config, as_software=as_software)
+    found = likelihood_on_device(*made, config)
     np.testing.assert_allclose(found, expected, atol=5e-4)  # found: 5e-5
 
 
@@ -104,7 +103,7 @@ def test_likelihoods_of_alike_colours_agree(seed):
     expected = stages.spectral_likelihood(
         spectra, powers, node, noise, channel_error=config.channel_error, rounds=config.rounds
     )
-    found = likelihood_on_device(spectra, powers, node, noise, config, as_software=seed == 1)
+    found = likelihood_on_device(spectra, powers, node, noise, config)
     away = np.abs(found - expected)
     # Nats of a window, 402 px. The picture is grey, so that S nearly is of rank one, and near its limit rounding
     # decides whether a step is taken as a whole.
@@ -115,7 +114,7 @@ def test_likelihoods_of_alike_colours_agree(seed):
 @pytest.mark.parametrize("label_map", [IDENTITY, bent(SHAPE)])
 def test_what_labels_earn_agrees(label_map):
     from chromaperture.matching.device.device import Chain
-    from chromaperture.matching.device.spectral_stages import WindowGrid, add_windows
+    from chromaperture.matching.device.label_stages import WindowGrid, add_windows
 
     source = source_for(label_map)
     layers = np.arange(-9, 10) * 0.9 * source.pairs.blur.reach

@@ -15,13 +15,11 @@ from hypothesis import strategies as st
 from chromaperture.depth.conversion import DepthModel, depth_and_sigma
 from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.matching import readable as stages
-from chromaperture.matching.device import cell_stages, correlation_stages, shader_text
-from chromaperture.matching.device.conversion_stage import Conversion, add_conversion
-from chromaperture.matching.device.device import Chain, Device, open_device
-from chromaperture.matching.device.layers_by_four import sliding
+from chromaperture.matching.device import correlation_stages, shader_text
+from chromaperture.matching.device.device import Chain, Device, open_device, pass_times_ms, stage_times_ms
+from chromaperture.matching.device.measured import Conversion, add_conversion
 from chromaperture.matching.device.paper_chain import add_paper
 from chromaperture.matching.device.real_time_chain import add_real_time, add_recursions
-from chromaperture.matching.device.stage_timing import pass_times_ms, stage_times_ms
 from chromaperture.matching.device.view_stages import Planes, add_views
 from chromaperture.matching.error_bar import without_two_views
 from chromaperture.matching.estimate import method_for
@@ -258,19 +256,17 @@ def paper_chain_on(device: Device, design: str) -> Chain:
 def test_chunks_of_cells_change_nothing(design, monkeypatch):
     image = wavy_capture(design, shape=SHAPE)
     whole = run(real_time_chain(design, False)[0], image, SHAPE, ["disparity"]).arrays["disparity"]
-    monkeypatch.setattr(cell_stages, "_CHUNK_BYTES", 4 * 40 * 50 * 4)  # some four entries, with what is padded
+    monkeypatch.setattr(correlation_stages, "_CHUNK_BYTES", 4 * 40 * 50 * 4)  # some four entries, with what is padded
     chain, method = Chain(open_device("gpu")), method_of(design)
     add_real_time(chain, chain.array("image", image.size), SHAPE, method.config, method.space, IDENTITY)
     assert len(chain.dispatches) > len(real_time_chain(design, False)[0].dispatches)
     np.testing.assert_array_equal(run(chain, image, SHAPE, ["disparity"]).arrays["disparity"], whole)
 
 
-@pytest.mark.parametrize("kind", ["CPU", "DiscreteGPU"])
 @pytest.mark.parametrize("design", [*DESIGNS, "cmy_circles"])
-def test_chunks_of_layers_change_nothing(design, kind, monkeypatch):
-    """Of the form for software, and of that for GPUs, whose last chunk is not filled up with layers, either."""
+def test_chunks_of_layers_change_nothing(design, monkeypatch):
+    """The last chunk is not filled up with layers."""
     image, device = wavy_capture(design, shape=SHAPE), open_device("gpu")
-    device = replace(device, info=device.info._replace(kind=kind))
     whole = run(paper_chain_on(device, design), image, SHAPE, ["disparity"]).arrays["disparity"]
     monkeypatch.setattr(correlation_stages, "_CHUNK_BYTES", 8 * 60 * 80 * 4)  # some four entries, with what is padded
     chain = paper_chain_on(device, design)
@@ -300,84 +296,62 @@ def test_paths_need_no_subgroups():
         pytest.skip("this device has no subgroups: the form with them is NOT tested")
     names = ["winner", "places"]  # what is between layers is smoothed, and its sums are reordered
     quad = real_time_chain("cy_halves", False)[0].run({"image": image}, names)
-    for software in (True, False):  # one invocation a path, and four that share memory
-        info = device.info._replace(kind="CPU" if software else "DiscreteGPU")
-        chain = Chain(replace(device, info=info, subgroups=False))
-        method = method_of("cy_halves")
-        add_real_time(chain, chain.array("image", image.size), SHAPE, method.config, method.space, IDENTITY)
-        for name, values in chain.run({"image": image}, names).items():
-            np.testing.assert_allclose(values, quad[name], rtol=0 if name == "winner" else 1e-5)
+    chain = Chain(replace(device, subgroups=False))  # invocations of a path share memory
+    method = method_of("cy_halves")
+    add_real_time(chain, chain.array("image", image.size), SHAPE, method.config, method.space, IDENTITY)
+    for name, values in chain.run({"image": image}, names).items():
+        np.testing.assert_allclose(values, quad[name], rtol=0 if name == "winner" else 1e-5)
 
 
 @pytest.mark.parametrize("shape", [(45, 70), (1, 40), (33, 1), (1, 1)])
 @pytest.mark.parametrize("map_count", [2, 5])
 def test_recursions_in_segments_are_those_of_whole_lines(shape, map_count, rng):
-    """A GPU walks segments of a line side by side, a rasteriser in software one line after the other."""
+    """The device walks segments of a line side by side."""
     height, width = shape
     maps = rng.uniform(-1, 1, (height, width, map_count)).astype(np.float32)
     links = rng.uniform(0.2, 0.95, (2, height, width)).astype(np.float32)
     links[0, :, 0] = links[1, 0] = 0
     links[rng.uniform(size=links.shape) < 0.1] = 0
-    found, stages_run = [], []
-    for kind in ("CPU", "DiscreteGPU"):
-        device = open_device("gpu")
-        chain = Chain(replace(device, info=device.info._replace(kind=kind)))
-        arrays = [chain.array(name, values.size) for name, values in (("maps", maps), ("links", links))]
-        planes = Planes(arrays[0], arrays[1], None, width, height, 2)
-        add_recursions(chain, planes, *arrays, map_count=map_count, gain=0.7, own=0.4)
-        found.append(chain.run({"maps": maps, "links": links}, ["maps"])["maps"])
-        stages_run.append(chain.dispatches[0].stage)
-    assert stages_run == ["smoothing_of_lines", "smoothing"]
-    np.testing.assert_allclose(found[1], found[0], rtol=1e-4, atol=1e-5)  # sums of 20 numbers of order 1, reordered
+    chain = Chain(open_device("gpu"))
+    arrays = [chain.array(name, values.size) for name, values in (("maps", maps), ("links", links))]
+    planes = Planes(arrays[0], arrays[1], None, width, height, 2)
+    add_recursions(chain, planes, *arrays, map_count=map_count, gain=0.7, own=0.4)
+    found = chain.run({"maps": maps, "links": links}, ["maps"])["maps"].reshape(maps.shape)
+    expected = both_ways(both_ways(maps, links[0]).swapaxes(0, 1), links[1].T).swapaxes(0, 1)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)  # sums of 20 numbers of order 1, reordered
 
 
-FORMS = {
-    "cy_halves": ("correlation_of_lines", "correlation"),
-    "rgb_squares": ("correlation_of_lines", "correlation"),
-    "cmy_circles": ("layers_y", "correlation"),
-}
+def both_ways(maps, links, gain=0.7, own=0.4):
+    """The recursions of `smoothing`, along the second axis, pixel after pixel."""
+    length = maps.shape[1]
+    sums = -own * maps.astype(float)
+    for order in (range(length), range(length - 1, -1, -1)):
+        state = np.zeros_like(sums[:, 0])
+        for n, i in enumerate(order):
+            link = links[:, max(i, order[n - 1]), None] if n else 0.0
+            state = (gain if n else 1.0) * maps[:, i] + link * state
+            sums[:, i] += state
+    return sums
+
 
 
 @pytest.mark.parametrize(
     ("shape", "count", "decay"),
     [((45, 61), 32, 0.8), ((20, 30), 9, 0.9), ((20, 30), 7, 0.3), ((1, 40), 5, 0.8), ((40, 1), 6, 0.8)],
 )
-@pytest.mark.parametrize("design", list(FORMS))
-def test_scores_for_software_are_those_for_gpus(design, shape, count, decay):
-    """There a walk takes whole lines, of layers that are 1 px apart, or that share no samples."""
+@pytest.mark.parametrize("design", [*DESIGNS, "cmy_circles"])
+def test_scores_are_those_of_the_readable_stage(design, shape, count, decay):
     image, space = wavy_capture(design, shape=shape), method_of(design, PAPER).space
     config = replace(PAPER.correlation, window_decay=decay)
     layers_px = np.arange(count) * 0.5 - count // 2 * 0.5
     views = filtered_views(image, space, config=PAPER.views)
     expected = stages.correlate(views, layers_px, config=config)
-    for form, kind in zip(FORMS[design], ("CPU", "DiscreteGPU"), strict=True):
-        device = open_device("gpu")
-        chain = Chain(replace(device, info=device.info._replace(kind=kind)))
-        planes = add_views(chain, chain.array("image", image.size), shape, space, PAPER.views)
-        for _ in correlation_stages.add_correlation(chain, planes, layers_px, space.directions, config, pitch=count):
-            pass
-        assert form in [dispatch.stage for dispatch in chain.dispatches]
-        found = chain.run({"image": image}, ["score"])["score"].reshape(expected.shape)
-        assert np.abs(found - expected).max() < SCORE_TOLERANCE
-
-
-@pytest.mark.parametrize("layers", [4, 9, 32])
-def test_layers_by_four_are_all_layers_1_px_apart(layers):
-    number = np.arange(layers)
-    left = np.stack([number % 2, 8 - number // 2, 0 * number, 0 * number], -1)
-    up = np.stack([2 + number % 2, 0 * number, number // 2 - 3, 0 * number], -1)
-    fours = sliding(np.stack([left, up]).astype(np.int32))
-    assert (fours.phases, fours.slides_x, fours.slides_y) == (2, (-1.0, 0.0), (0.0, 1.0))
-    assert fours.quads == 2 * -(-layers // 8)
-    places = np.full((2, 8 * fours.per_phase, 4), -1)
-    for quad in range(fours.quads):
-        for j in range(4):  # `layer_of`
-            layer = quad // fours.per_phase + 2 * (4 * (quad % fours.per_phase) + j)
-            places[:, layer] = fours.places[:, 4 * quad + j]
-    np.testing.assert_array_equal(places[:, :layers], [left, up])
-    apart = np.diff(fours.places.reshape(2, -1, 4, 4)[..., 1:3], axis=2)
-    np.testing.assert_array_equal(apart, np.broadcast_to([[[[-1, 0]]], [[[0, 1]]]], apart.shape))
-    assert sliding(np.stack([left * (1, 2, 1, 1), up]).astype(np.int32)) is None  # 2 px apart
+    chain = Chain(open_device("gpu"))
+    planes = add_views(chain, chain.array("image", image.size), shape, space, PAPER.views)
+    for _ in correlation_stages.add_correlation(chain, planes, layers_px, space.directions, config, pitch=count):
+        pass
+    found = chain.run({"image": image}, ["score"])["score"].reshape(expected.shape)
+    assert np.abs(found - expected).max() < SCORE_TOLERANCE
 
 
 def test_loops_are_written_out():
@@ -456,3 +430,21 @@ def test_conversion_by_numbers_in_place_of_maps(local, known, rng):
     found = chain.run({"disparity": disparity, "sigma": sigma}, ["depth_mm", "sigma_mm"])
     check_millimetres(found, *expected)
     assert chain.arrays["fields"].size < disparity.size + 6 * 33 * 33  # of a frame so small: no maps
+
+
+def test_arrays_and_heads_are_written_out():
+    text = "in a: array<f32>;  // here\nout b: array<u32>;\n\n@workgroup_size(128)\nfn main(group, local) {\n}\n"
+    assert shader_text.written_out(text) == (
+        "@group(0) @binding(0) var<storage, read> a: array<f32>;  // here\n"
+        "@group(0) @binding(1) var<storage, read_write> b: array<u32>;\n\n"
+        "@compute @workgroup_size(128)\n"
+        "fn main(@builtin(workgroup_id) group: vec3u, @builtin(local_invocation_index) local: u32) {\n}\n"
+    )
+    numbered = shader_text.written_out("fn main(i) {\n}\n")
+    assert numbered.startswith("@compute @workgroup_size(64)\nfn main(\n    @builtin(workgroup_id) group: vec3u, ")
+    assert "let i = invocation(group, groups, local);\n}" in numbered
+
+
+def test_what_sections_use_is_there():
+    known = shader_text.sections()
+    assert {name for used, _ in known.values() for name in used} <= set(known)

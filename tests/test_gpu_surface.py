@@ -1,7 +1,6 @@
 """The stages of quality "accurate" on a GPU agree with their NumPy twins, from the volume to the surface."""
 
 import os
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -32,12 +31,6 @@ def any_device():
         if os.environ.get(EXPECTED):
             raise
         pytest.skip(f"{error}: this is NOT tested")
-
-
-def device_as(*, software):
-    """Any device, for which stages take the form for software, where invocations share nothing, or that for GPUs."""
-    device = any_device()
-    return replace(device, info=device.info._replace(kind="CPU" if software else "DiscreteGPU"))
 
 
 def volume(rng, height, width, count):

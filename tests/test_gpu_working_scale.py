@@ -14,7 +14,7 @@ from chromaperture.matching import readable as stages
 from chromaperture.matching.device.accurate_chain import AccurateOnDevice
 from chromaperture.matching.device.device import Chain, open_device
 from chromaperture.matching.device.gpu_method import DeviceMethod, GpuMethod, on_device
-from chromaperture.matching.device.working_stages import Reduction, add_reduced, add_upsampled
+from chromaperture.matching.device.view_stages import Reduction, add_reduced, add_upsampled
 from chromaperture.matching.estimate import method_for
 from chromaperture.matching.readable.upsample import Coarse
 from chromaperture.matching.result import Disparity

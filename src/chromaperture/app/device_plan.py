@@ -21,14 +21,14 @@ from chromaperture.color.color_maps import DISTANCE, ERROR, draw_levels
 from chromaperture.color.image import DARK
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.depth.pointcloud import RAY_PITCH_PX, grid_of_rays
-from chromaperture.matching.device.conversion_stage import add_conversion
+from chromaperture.matching.device.device import Exchange, PlannedChain
+from chromaperture.matching.device.measured import add_conversion
 from chromaperture.matching.device.picture_stages import (
     add_colored_maps,
     add_light_of_counts,
     add_sparse_maps,
     row_pitch,
 )
-from chromaperture.matching.device.planned_chain import Exchange, PlannedChain
 from chromaperture.matching.device.real_time_chain import add_real_time
 from chromaperture.matching.nothing_to_match import constant_view, no_usable_pixel
 from chromaperture.matching.real_time import RealTimeMethod
@@ -41,7 +41,7 @@ MOST_PX = (
     4_000_000  # of a frame: up to here cameras keep the curves of all pixels, see `CodedApertureCamera.conversion`
 )
 FORMAT = 1  # of the message; `plan.js` refuses others
-# Places in the array `stats`, as `shared.wgsl` names them.
+# Places in the array `stats`, as `shared` names them.
 _MEAN_ALL, _USABLE, _VARIANCE = 3, 4, 8
 
 

@@ -22,10 +22,9 @@ from chromaperture.color.image import checked_image
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.field_bands import field_to_depth
 from chromaperture.frame.depth_frame import DepthFrame
-from chromaperture.matching.device.alignment_stage import Alignment
-from chromaperture.matching.device.conversion_stage import Conversion
-from chromaperture.matching.device.gpu_method import DeviceMethod, Waiting, device_method
-from chromaperture.matching.device.measured import Further, Measured
+from chromaperture.matching.device.device import Pending
+from chromaperture.matching.device.gpu_method import DeviceMethod, device_method
+from chromaperture.matching.device.measured import Alignment, Conversion, Extras, Measured
 from chromaperture.matching.result import Disparity
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.scale import SAME_SCALE, resized
@@ -46,7 +45,7 @@ class Begun(NamedTuple):
     known: np.ndarray
     image: np.ndarray
     size_px: tuple[int, int]  # (int, int): width and height of the photograph
-    waiting: Waiting | None = None  # what a device has begun
+    pending: Pending[Measured] | None = None  # what a device has begun
     on_disk: bool = False  # whether its volumes do not fit into memory
 
 
@@ -156,7 +155,7 @@ class CodedApertureCamera:
         begun = self._checked(image)
         if not isinstance(self.method, DeviceMethod):
             return begun
-        return begun._replace(waiting=self.method.start(begun.known, self._further(begun)))
+        return begun._replace(pending=self.method.start(begun.known, self._extra_outputs(begun)))
 
     def complete(self, begun: Begun, *, meanwhile: Callable[[], None] = lambda: None) -> DepthFrame:
         """Return the measurement of a photograph that was begun; raises as `measure`.
@@ -325,13 +324,13 @@ class CodedApertureCamera:
         """Return the disparity, and what else the device made of it."""
         with volumes_on_disk(begun.on_disk):  # those of the CPU
             if isinstance(self.method, DeviceMethod):
-                return self.method.finish(begun.waiting or self.method.start(begun.known, self._further(begun)))
+                return (begun.pending or self.method.start(begun.known, self._extra_outputs(begun))).result()
             return Measured(self.method.match(begun.known))
 
-    def _further(self, begun: Begun) -> Further:
-        """Return what a device is to make of the disparity of a photograph."""
+    def _extra_outputs(self, begun: Begun) -> Extras:
+        """Return which extra maps the device computes after disparity."""
         is_whole = begun.known is begun.image  # of a part of the frame other pixels are matched than aligned
-        return Further(self.conversion, self.device_alignment if is_whole else None)
+        return Extras(self.conversion, self.device_alignment if is_whole else None)
 
     @cached_property
     def conversion(self) -> Conversion | None:

@@ -34,7 +34,7 @@ class DeviceCompositor:
     ) -> np.ndarray | None:
         """Return the picture, see `RefocusChain.composite`; None where the CPU has to do it.
 
-        Raises DeviceError, OutOfMemoryError: the device was asked for by name.
+        Raises DeviceError, OutOfMemoryError where the device was asked for by name.
         """
         device, size = self.behind.on_gpu.device, (hidden.shape[0], hidden.shape[1])
         if self.behind.has_failed or 4 * _NUMBERS * hidden.size > device.largest_bytes:

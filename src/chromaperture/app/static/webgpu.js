@@ -29,7 +29,7 @@ async function open() {
   } catch (error) {
     throw new DeviceTrouble(`the graphics device cannot be opened (${error.message})`);
   }
-  const found = { device, exchange: hasQuads ? "quad" : isSoftware ? "single" : "shared", isSoftware, isLost: false };
+  const found = { device, exchange: hasQuads ? "quad" : "shared", isSoftware, isLost: false };
   device.lost.then(({ message }) => { found.isLost = true; opened = null; console.info("the graphics device was lost:", message); });
   return found;
 }

@@ -12,18 +12,21 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from operator import call
-from typing import NamedTuple
 
 import numpy as np
 
 from chromaperture.matching.accurate import AccurateMethod, PathSurface
 from chromaperture.matching.clipped_areas import clipped_filled
-from chromaperture.matching.device.device import Array, Chain, Device, Ticket
-from chromaperture.matching.device.evidence_plan import EvidencePlan, plan_evidence
-from chromaperture.matching.device.evidence_stages import add_evidence
-from chromaperture.matching.device.label_stages import WindowsEarned, add_labels, add_views_evidence
-from chromaperture.matching.device.measured import NOTHING, Further, Measured, OnDevice
-from chromaperture.matching.device.spectral_stages import WindowGrid, add_windows
+from chromaperture.matching.device.device import Array, Chain, Device, Pending
+from chromaperture.matching.device.evidence_stages import EvidencePlan, add_evidence, plan_evidence
+from chromaperture.matching.device.label_stages import (
+    WindowEvidence,
+    WindowGrid,
+    add_labels,
+    add_views_evidence,
+    add_windows,
+)
+from chromaperture.matching.device.measured import NO_EXTRAS, Extras, Measured, OnDevice
 from chromaperture.matching.device.surface_stages import Grid, add_block_sums, add_path_surface
 from chromaperture.matching.evidence.blur import BlurEvidence
 from chromaperture.matching.evidence.correlation import CorrelationEvidence
@@ -45,36 +48,14 @@ def pairs_of(method: AccurateMethod) -> BlurEvidence | None:
     return evidence if isinstance(evidence, BlurEvidence) else None
 
 
-class Started(NamedTuple):
-    """A photograph under way: as `clipped_filled` has it, what computes it, and the depth edges that the CPU finds."""
-
-    chain: AccurateChain
-    ticket: Ticket
-    image: np.ndarray
-    usable: np.ndarray
-    depth_edges: Callable[[], np.ndarray]
-
-
 @dataclass
 class AccurateChain:
-    """The chain of one camera, from a photograph to `DOWN`.
-
-    Attributes
-    ----------
-    method : AccurateMethod
-    device : Device
-    shape : (int, int)
-        Height and width of its photographs.
-    plan : EvidencePlan or None
-        None where the blur is not known: evidence is that of shifted views.
-    grid : Grid
-    chain : Chain
-    """
+    """The chain of one camera, from a photograph to `DOWN`."""
 
     method: AccurateMethod
     device: Device
-    shape: tuple[int, int]
-    plan: EvidencePlan | None = field(init=False)
+    shape: tuple[int, int]  # height and width of its photographs
+    plan: EvidencePlan | None = field(init=False)  # None where the blur is not known: evidence is that of views
     grid: Grid = field(init=False)
     chain: Chain = field(init=False)
 
@@ -90,26 +71,27 @@ class AccurateChain:
         add_path_surface(chain, likelihood, guide, self.grid, labels_px, config=config.surface)
         add_block_sums(chain, likelihood, self.grid, BLOCK_PX)
 
-    def start(self, image: np.ndarray) -> Started:
-        """Send an image (H, W, 3) to the device; at most two are under way, `finish` them in turn."""
+    def start(self, image: np.ndarray) -> Pending[Measured]:
+        """Send an image (H, W, 3) to the device; at most two are under way, to be awaited in turn."""
         views = filtered_views(image, self.method.space, config=self.method.config.views)
         filled, usable = clipped_filled(image, views.mask)
         inputs = self._inputs(filled, usable, views.guide, self.method.evidence.noise.variance(filled))
-        ticket = self.chain.start(inputs, list(DOWN))
-        return Started(self, ticket, filled, usable, begun(partial(depth_edges_of, filled)))
+        pending = self.chain.start(inputs, list(DOWN))
+        depth_edges = begun(partial(depth_edges_of, filled))
+        return Pending(
+            lambda: Measured(self.method.from_paths(self._found(pending.result()), filled, usable, depth_edges()))
+        )
 
-    def finish(self, started: Started) -> Measured:
-        """Wait for a photograph, and explain what came down."""
-        got = self.chain.finish(started.ticket)
+    def _found(self, got: dict[str, np.ndarray]) -> PathSurface:
+        """Return what came down, in px."""
         labels_px, (height, width), size = self.method.labels_px, self.shape, BLOCK_PX
         first, step = float(labels_px[0]), float(labels_px[1] - labels_px[0])
         mean, variance = np.moveaxis(got["posterior"].reshape(height, width, 2), 2, 0)
-        found = PathSurface(
+        return PathSurface(
             np.asarray(first + step * got["label"].reshape(height, width), np.float32),
             Posterior(np.asarray(first + step * mean, np.float32), np.asarray(step**2 * variance, np.float32)),
             got["blocks"].reshape(height // size, width // size, len(labels_px)),
         )
-        return Measured(self.method.from_paths(found, started.image, started.usable, started.depth_edges()))
 
     def _add_evidence(self, image: Array, usable: Array, likelihood: Array) -> None:
         chain, config, labels_px = self.chain, self.method.config, self.method.labels_px
@@ -126,7 +108,7 @@ class AccurateChain:
             assert isinstance(source, CorrelationEvidence)
             add_views_evidence(chain, source, self.shape, (image, usable, likelihood), layers_px, labels_px)
 
-    def _windows(self, usable: Array) -> WindowsEarned:
+    def _windows(self, usable: Array) -> WindowEvidence:
         evidence, grid, chain = self.method.evidence, self.windows, self.chain
         assert isinstance(evidence, SpectralEvidence)
         assert grid is not None
@@ -135,7 +117,7 @@ class AccurateChain:
             chain, evidence, grid, (chain.arrays["image"], chain.arrays["shading"], noise),
             self.method.config.layers.values_px, self.method.labels_px,
         )  # fmt: skip
-        return WindowsEarned(earned, usable, grid)
+        return WindowEvidence(earned, usable, grid)
 
     @property
     def windows(self) -> WindowGrid | None:
@@ -177,20 +159,14 @@ class AccurateChain:
 
 @dataclass
 class AccurateOnDevice(OnDevice):
-    """Quality "accurate" on a device; its chain is made at the first photograph of a size, and kept.
-
-    Attributes
-    ----------
-    method : AccurateMethod
-    device : Device
-    """
+    """Quality "accurate" on a device; its chain is made at the first photograph of a size, and kept."""
 
     method: AccurateMethod
     device: Device
     _chain: AccurateChain | None = None
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def start(self, image: np.ndarray, further: Further = NOTHING) -> Started:
+    def start(self, image: np.ndarray, extras: Extras = NO_EXTRAS) -> Pending[Measured]:
         """Send an image (H, W, 3) to the device, which begins; the CPU makes what is asked for besides."""
         pairs = pairs_of(self.method)
         if pairs is not None:
@@ -200,9 +176,10 @@ class AccurateOnDevice(OnDevice):
             if self._chain is None or self._chain.shape != shape:
                 self._chain = None  # gives its memory back before the next takes its own
                 self._chain = AccurateChain(self.method, self.device, shape)
-            return self._chain.start(image)
+            pending = self._chain.start(image)
 
-    def finish(self, started: Started) -> Measured:
-        """Wait for what `start` has begun."""
-        with self._lock, self._freed_on_failure():
-            return started.chain.finish(started)
+        def result() -> Measured:
+            with self._lock, self._freed_on_failure():
+                return pending.result()
+
+        return Pending(result)

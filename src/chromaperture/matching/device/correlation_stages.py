@@ -14,54 +14,55 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from chromaperture.matching.device.device import Array, Chain
-from chromaperture.matching.device.layers_by_four import Fours, consecutive, sliding
-from chromaperture.matching.device.view_stages import SHARED, Planes
-from chromaperture.matching.device.workgroups import GROUP, groups_for
-from chromaperture.matching.readable.correlation import RELATIVE_EPSILON, SAMPLING, padding
+from chromaperture.matching.device.device import GROUP, Array, Chain
+from chromaperture.matching.device.view_stages import GUIDE_SCALE, Planes
+from chromaperture.matching.logarithm import LOGARITHM
+from chromaperture.matching.readable.correlation import (
+    CELL_EPSILON,
+    CELL_TAPS,
+    CONTRARY,
+    LEAST_FLOOR,
+    RELATIVE_EPSILON,
+    SAMPLING,
+    SCORE_PARTS,
+    padding,
+)
+from chromaperture.matching.readable.enlarge import JUMP_PX
+from chromaperture.matching.readable.four_paths import LEAST_DETERMINANT, NAT_PARTS
 from chromaperture.matching.whole_light import whole_taps
 from chromaperture.settings.stages import CorrelationConfig
 
 # Share of a window's weight that lies beyond the samples a block of a line starts from, where the picture counts as
 # even.
 _NEGLIGIBLE = 1e-6
-_BLOCK, _SOFTWARE_BLOCK = 64, 4096  # most px of a line that an invocation takes; in software whole lines
-_TOGETHER = 4  # samples of a line in registers: with 8 they would be 72 vectors of three views
+_BLOCK = 64  # most px of a line that an invocation takes
 _CHUNK_BYTES = 128e6  # of the largest array of a chunk: WebGPU's default limit of a binding
 _EACH = 16  # neighbours that an invocation samples: 5 % more taps are read than with all of a line
 _PHASES = 1e6  # sub-pixel phases that differ by less than one part are one
+WINDOW_REACH_PX = 2  # of a cell's window
+# What `nats` needs.
+LIKELIHOOD: dict[str, Any] = {
+    "least_determinant": LEAST_DETERMINANT,
+    "nat_parts": NAT_PARTS,
+    "logarithm_terms": LOGARITHM,
+    "logarithm_count": len(LOGARITHM),
+}
+_CELLS = 8  # that an invocation takes, one below the other: they share the sums of 3 of their 5 rows
 
 
 class Kept(NamedTuple):
-    """What the last stage makes of a score before it leaves it: a file with the function ``keep``.
+    """What the last stage makes of a score before it leaves it: a section with the function ``keep``."""
 
-    Attributes
-    ----------
-    name : str
-        Of the array that is left.
-    uses : tuple of str
-        Files of functions, ``keep`` among them.
-    constants : dict
-        What these need.
-    more : int
-        Further maps of a pixel behind those of a chunk's layers.
-    together : int
-        The maps of a pixel are filled up to a multiple of this.
-    any_order : bool
-        Whether it takes layers by four in another order than theirs.
-    """
+    name: str  # of the array that is left
+    uses: tuple[str, ...]  # sections, that with ``keep`` among them
+    constants: dict[str, Any]  # what these need
+    more: int = 0  # further maps of a pixel behind those of a chunk's layers
+    together: int = 1  # the maps of a pixel are filled up to a multiple of this
 
-    name: str
-    uses: tuple[str, ...]
-    constants: dict[str, Any]
-    more: int = 0
-    together: int = 1
-
-    any_order: bool = True  # of the layers by four
-
-    def pitch_of(self, layers: int, fours: Fours) -> int:
+    def pitch_of(self, layers: int) -> int:
         """Return the maps of a pixel in a chunk of so many layers."""
-        filled = 4 * fours.quads - 1 if layers < 4 * fours.quads else layers  # one place is free, or none
+        quads = -(-layers // 4)
+        filled = 4 * quads - 1 if layers < 4 * quads else layers  # one place is free, or none
         return -(-((filled if self.more else layers) + self.more) // self.together) * self.together
 
 
@@ -73,6 +74,11 @@ class Chunk(NamedTuple):
     phases_y: np.ndarray  # (Ey, 8) float32: four taps, the view, three of nothing
     phases_x: np.ndarray  # (E, 8) float32: four taps, the phase along y, three of nothing
     places: np.ndarray  # (K, C, 4) int32: entry, whole px along x, along y, 0
+
+    @property
+    def quads(self) -> int:
+        """Layers by four; the last four are filled with the last layer."""
+        return -(-self.size // 4)
 
 
 def chunks_of(
@@ -140,36 +146,15 @@ def add_correlation(
     pitch: int | None = None,
     chunked: bool = False,
     kept: Kept | None = None,
-) -> Iterator[tuple[Array, Chunk, Fours]]:
+) -> Iterator[tuple[Array, Chunk]]:
     """Add the scores, chunk after chunk; what is added between two chunks may read the last one's.
 
-    Parameters
-    ----------
-    chain : Chain
-    planes : Planes
-    layers_px : (D,) float, px
-    directions : (K, 2) float
-    config : CorrelationConfig
-    pitch : int, optional
-        Layers of a pixel in one volume (h, w, pitch) of all chunks; without it every chunk has (h, w, C) of its own.
-    chunked : bool
-        Chunks are small enough for their scores, too, to fit.
-    kept : Kept, optional
-        What is left of the scores instead of themselves.
-
-    Yields
-    ------
-    score : Array
-    chunk : Chunk
-    fours : Fours
+    ``layers_px``: (D,), ``directions``: (K, 2). With ``pitch``, layers of a pixel in one volume (h, w, pitch) of all
+    chunks; without it every chunk has (h, w, C) of its own. ``chunked``: chunks are small enough for their scores, too,
+    to fit. ``kept``: what is left of the scores instead of themselves.
     """
     pad_x, pad_y = padding(layers_px, directions, config.sampling)
     kept = kept or Kept("score", ("scores_kept",), {})
-    if chain.device.info.is_software and not _slides(layers_px, directions, config.sampling):
-        yield from _add_layers(
-            chain, planes, layers_px, directions, config, kept, pads=(pad_x, pad_y), pitch=pitch, chunked=chunked
-        )
-        return
     tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
     most_bytes = min(_CHUNK_BYTES, chain.device.largest_bytes)
     reach = math.ceil(math.log(_NEGLIGIBLE) / math.log(config.window_decay))
@@ -177,7 +162,7 @@ def add_correlation(
     most_entries = max(1, int(most_bytes // (8 * (tall + reach) * (wide + reach))))
     most_layers = max(1, int(most_bytes // (4 * tall * wide)) - 1) if chunked else len(layers_px)
     words = 4 if planes.view_count == 2 else 12  # of the covariances of all pairs, of four layers
-    (block_x, blocks_x), (block_y, blocks_y) = (_even_blocks(chain, side) for side in (planes.width, planes.height))
+    (block_x, blocks_x), (block_y, blocks_y) = (_even_blocks(side) for side in (planes.width, planes.height))
     steps_x, steps_y = block_x + max(reach, pad_x), block_y + max(reach, pad_y)
     columns = -(-planes.width // 4) * 4
     of_quad = words * max(tall * blocks_x * steps_x, columns * blocks_y * steps_y)  # numbers that wait in `ahead`
@@ -185,24 +170,18 @@ def add_correlation(
     waiting = chain.device.largest_bytes // 4 - words * GROUP * 4 * max(steps_x, steps_y)
     most_layers = min(most_layers, 4 * int(waiting // of_quad))
     chunks = chunks_of(layers_px, directions, config.sampling, most_entries, most_layers)
-    fours = [_fours_of(chain, chunk, kept) for chunk in chunks]
-    sizes = zip(chunks, fours, strict=True)
-    volume = _largest(chain, kept.name, [planes.pixels * (pitch or kept.pitch_of(c.size, f)) for c, f in sizes])
+    volume = _largest(chain, kept.name, [planes.pixels * (pitch or kept.pitch_of(c.size)) for c in chunks])
     samples_y = _largest(chain, "samples_y", [tall * planes.width * len(c.phases_y) for c in chunks])
     samples = _largest(chain, "samples", [tall * wide * len(c.phases_x) for c in chunks])
     windows = _largest(chain, "windows", [2 * tall * (wide + reach) * len(c.phases_x) for c in chunks])
     apart_x = _largest(chain, "deviations_x", [2 * tall * (wide + reach) * len(c.phases_x) for c in chunks])
     apart_y = _largest(chain, "deviations_y", [2 * (tall + reach) * wide * len(c.phases_x) for c in chunks])
     gains = _largest(chain, "gains", [(tall + reach) * wide * len(c.phases_x) for c in chunks])
-    quads = [by_four.quads for by_four in fours]
+    quads = [chunk.quads for chunk in chunks]
     covariances = _largest(chain, "covariances", [words * tall * planes.width * count for count in quads])
     invocations = [(tall * blocks_x * count, planes.width * blocks_y * count) for count in quads]
     most_steps = [max(-(-x // GROUP) * steps_x, -(-y // GROUP) * steps_y) for x, y in invocations]
-    waiting_numbers = [
-        words * (_waiting_in_lines(planes, f, pad_x, pad_y) if f.slide else GROUP * steps)
-        for f, steps in zip(fours, most_steps, strict=True)
-    ]
-    ahead = _largest(chain, "ahead", waiting_numbers)
+    ahead = _largest(chain, "ahead", [words * GROUP * steps for steps in most_steps])
     pairs = "pairs_two" if planes.view_count == 2 else "pairs_three"
     decay = float(config.window_decay)
     window: dict[str, Any] = {"decay": decay, "reach": reach}
@@ -210,45 +189,33 @@ def add_correlation(
     size: dict[str, Any] = {"width": planes.width, "height": planes.height, "pad_x": pad_x, "pad_y": pad_y}
     for number, chunk in enumerate(chunks):
         entries = len(chunk.phases_x)
-        by_four = fours[number]
-        places = chain.constant(f"places{number}", by_four.places)
+        filled = np.pad(chunk.places, ((0, 0), (0, 4 * chunk.quads - chunk.size), (0, 0)), mode="edge")
+        places = chain.constant(f"places{number}", filled)
         taps_y, taps_x = add_samples(chain, planes, chunk, number, samples_y, samples, pad_x=pad_x, pad_y=pad_y)
         frame: dict[str, Any] = {"row_count": tall, "columns": wide, "entry_count": entries, **window}
-        block, blocks = _even_blocks(chain, wide + reach)
+        block, blocks = _even_blocks(wide + reach)
         chain.add(
-            "windows_x", [samples, windows, apart_x], groups=groups_for(tall * blocks * entries), uses=SHARED,
-            block=block, deviation_unit=unit, **frame,
+            "windows_x", [samples, windows, apart_x], tall * blocks * entries, block=block, deviation_unit=unit,
+            **frame,
         )  # fmt: skip
-        block, blocks = _even_blocks(chain, tall + reach)
+        block, blocks = _even_blocks(tall + reach)
         chain.add(
-            "windows_y", [windows, taps_x, taps_y, planes.stats, apart_y, gains],
-            groups=groups_for(wide * blocks * entries), uses=SHARED,
+            "windows_y", [windows, taps_x, taps_y, planes.stats, apart_y, gains], wide * blocks * entries,
             relative_epsilon=RELATIVE_EPSILON, block=block, deviation_unit=unit, **frame,
         )  # fmt: skip
         layers: dict[str, Any] = {"quads": quads[number], "entry_count": entries, **size, **window}
         layers["view_count"] = planes.view_count
         mask = [] if kept.uses == ("scores_kept",) else [planes.planes]
         score: dict[str, Any] = {
-            "pitch": pitch or kept.pitch_of(chunk.size, by_four), "first_layer": chunk.first if pitch else 0,
-            "layer_count": chunk.size, "kept_at": 5, "phases": by_four.phases, "per_phase": by_four.per_phase,
-            **kept.constants,
+            "pitch": pitch or kept.pitch_of(chunk.size), "first_layer": chunk.first if pitch else 0,
+            "layer_count": chunk.size, "kept_at": 5, **kept.constants,
         }  # fmt: skip
         along_x, along_y = [apart_x, places, ahead, covariances], [covariances, places, apart_y, gains, ahead, volume]
         along_y += mask
-        used: tuple[str, ...] = (*SHARED, pairs)
-        if by_four.slide:
-            used = (*used, "slides")
-            layers["slides_x"], layers["slides_y"] = ((*s, 0.0)[:3] for s in (by_four.slides_x, by_four.slides_y))
-            groups = groups_for(tall * by_four.quads)
-            chain.add("products_of_lines", along_x, groups=groups, uses=used, **layers)
-            groups, used = groups_for(-(-planes.width // 4) * by_four.quads), (*used, "layers_by_four", *kept.uses)
-            chain.add("correlation_of_lines", along_y, groups=groups, uses=used, **layers, **score)
-        else:
-            groups = groups_for(invocations[number][0])
-            chain.add("products_x", along_x, groups=groups, uses=used, block=block_x, **layers)
-            groups, used = groups_for(invocations[number][1]), (*used, "layers_by_four", *kept.uses)
-            chain.add("correlation", along_y, groups=groups, uses=used, block=block_y, **layers, **score)
-        yield volume, chunk, by_four
+        of_x, of_y = invocations[number]
+        chain.add("products_x", along_x, of_x, uses=(pairs,), block=block_x, **layers)
+        chain.add("correlation", along_y, of_y, uses=(pairs, *kept.uses), block=block_y, **layers, **score)
+        yield volume, chunk
 
 
 def add_samples(
@@ -272,9 +239,9 @@ def add_samples(
     taps_y = add_samples_y(chain, planes, chunk, number, samples_y, margin=0, pad_y=pad_y, whole=whole)
     taps_x = chain.constant(f"taps_x{number}", chunk.phases_x)
     chain.add(
-        "sample_x", [samples_y, taps_x, samples], groups=groups_for(tall * -(-wide // _EACH) * entries), uses=SHARED,
-        width=planes.width, height=planes.height, pad_y=pad_y, phase_count=len(chunk.phases_y), whole=whole,
-        each=_EACH, pad_x=pad_x, entry_count=entries,
+        "sample_x", [samples_y, taps_x, samples], tall * -(-wide // _EACH) * entries, width=planes.width,
+        height=planes.height, pad_y=pad_y, phase_count=len(chunk.phases_y), whole=whole, each=_EACH, pad_x=pad_x,
+        entry_count=entries,
     )  # fmt: skip
     return taps_y, taps_x
 
@@ -286,92 +253,109 @@ def add_samples_y(
     tall, wide, phases = planes.height + 2 * pad_y, planes.width + 2 * margin, len(chunk.phases_y)
     taps_y = chain.constant(f"taps_y{number}", chunk.phases_y)
     chain.add(
-        "sample_y", [planes.planes, taps_y, planes.stats, samples_y],
-        groups=groups_for(-(-tall // _EACH) * wide * phases), uses=SHARED, width=planes.width, height=planes.height,
-        margin=margin, pad_y=pad_y, phase_count=phases, whole=whole, each=_EACH,
+        "sample_y", [planes.planes, taps_y, planes.stats, samples_y], -(-tall // _EACH) * wide * phases,
+        width=planes.width, height=planes.height, margin=margin, pad_y=pad_y, phase_count=phases, whole=whole,
+        each=_EACH,
     )  # fmt: skip
     return taps_y
 
 
-def _slides(layers_px: np.ndarray, directions: np.ndarray, sampling: str) -> bool:
-    places = _chunk(layers_px, directions, sampling, 0, len(layers_px), whole=False).places
-    return sliding(places) is not None
-
-
-def _add_layers(
-    chain: Chain,
-    planes: Planes,
-    layers_px: np.ndarray,
-    directions: np.ndarray,
-    config: CorrelationConfig,
-    kept: Kept,
-    *,
-    pads: tuple[int, int],
-    pitch: int | None,
-    chunked: bool,
-) -> Iterator[tuple[Array, Chunk, Fours]]:
-    """Add the scores of layers that share no samples, on a rasteriser in software: two stages a chunk."""
-    (pad_x, pad_y), views = pads, planes.view_count
-    tall, moments = planes.height + 2 * pad_y, views + views * (views + 1) // 2
-    most_bytes = min(_CHUNK_BYTES, chain.device.largest_bytes)
-    most_layers = int(most_bytes // (4 * moments * tall * planes.width))
-    chunks = chunks_of(layers_px, directions, config.sampling, views * len(layers_px), most_layers)
-    fours = [consecutive(chunk.places) for chunk in chunks]
-    largest = fours[0].quads
-    blocks_x, blocks_y = (
-        -(-pad // _TOGETHER) + -(-(side + pad) // _TOGETHER)
-        for side, pad in ((planes.width, pad_x), (planes.height, pad_y))
-    )
-    of_x, of_y = groups_for(tall * largest), groups_for(planes.width * largest)
-    incoming = chain.array(
-        "incoming", 4 * moments * GROUP * max(math.prod(of_x) * blocks_x, math.prod(of_y) * blocks_y)
-    )
-    windows = chain.array("windows", 4 * moments * tall * planes.width * largest)
-    samples_y = _largest(chain, "samples_y", [tall * planes.width * len(c.phases_y) for c in chunks])
-    maps = [pitch or kept.pitch_of(c.size, f) for c, f in zip(chunks, fours, strict=True)]
-    volume = _largest(chain, kept.name, [planes.pixels * count for count in maps])
-    used = (*SHARED, *(("pairs_two", "moments_two") if views == 2 else ("pairs_three", "moments_three")), "moments")
-    mask = [] if kept.uses == ("scores_kept",) else [planes.planes]
-    for number, (chunk, by_four) in enumerate(zip(chunks, fours, strict=True)):
-        frame: dict[str, Any] = {
-            "width": planes.width, "height": planes.height, "pad_x": pad_x, "pad_y": pad_y, "each": _TOGETHER,
-            "quads": by_four.quads, "view_count": views, "moment_count": moments - views,
-            "decay": float(config.window_decay),
-        }  # fmt: skip
-        add_samples_y(chain, planes, chunk, number, samples_y, margin=0, pad_y=pad_y, whole=False)
-        taps_x = chain.constant(f"taps_x{number}", chunk.phases_x)
-        places = chain.constant(f"places{number}", by_four.places)
-        chain.add(
-            "layers_x", [samples_y, taps_x, places, incoming, windows], groups=groups_for(tall * by_four.quads),
-            uses=used, phase_count=len(chunk.phases_y), blocks=blocks_x, **frame,
-        )  # fmt: skip
-        chain.add(
-            "layers_y", [windows, planes.stats, incoming, volume, *mask],
-            groups=groups_for(planes.width * by_four.quads), uses=(*used, "layers_by_four", *kept.uses),
-            blocks=blocks_y, relative_epsilon=RELATIVE_EPSILON, kept_at=3, pitch=maps[number],
-            first_layer=chunk.first if pitch else 0, layer_count=chunk.size, phases=1, per_phase=by_four.quads,
-            **frame, **kept.constants,
-        )  # fmt: skip
-        yield volume, chunk, by_four
-
-
-def _fours_of(chain: Chain, chunk: Chunk, kept: Kept) -> Fours:
-    found = sliding(chunk.places) if chain.device.info.is_software and kept.any_order else None
-    return found or consecutive(chunk.places)
-
-
-def _waiting_in_lines(planes: Planes, fours: Fours, pad_x: int, pad_y: int) -> int:
-    """Return how much waits in `ahead` where an invocation takes whole lines, of all pairs of four layers."""
-    along_x = groups_for((planes.height + 2 * pad_y) * fours.quads)[0] * (planes.width + pad_x)
-    along_y = groups_for(-(-planes.width // 4) * fours.quads)[0] * (planes.height + pad_y) * 4
-    return GROUP * max(along_x, along_y)
-
-
-def _even_blocks(chain: Chain, pixels: int) -> tuple[int, int]:
+def _even_blocks(pixels: int) -> tuple[int, int]:
     """Return the length of the blocks of a line, about equal ones, and their number."""
-    blocks = -(-pixels // (_SOFTWARE_BLOCK if chain.device.info.is_software else _BLOCK))
+    blocks = -(-pixels // _BLOCK)
     return -(-pixels // blocks), blocks
 
 
 def _largest(chain: Chain, name: str, sizes: list[int]) -> Array:
     return chain.array(name, max(sizes))
+
+
+def add_cell_planes(chain: Chain, planes: Planes) -> Planes:
+    """Add views, guide and mask of the cells of a halved picture."""
+    tall, wide, count = -(-planes.height // 2), -(-planes.width // 2), planes.view_count + 2
+    cells = chain.array("cell_planes", count * tall * wide)
+    chain.add(
+        "cell_planes", [planes.planes, cells], cells.size, plane_count=count, width=planes.width, height=planes.height,
+        cells_wide=wide, cells_tall=tall,
+    )  # fmt: skip
+    return Planes(cells, planes.stats, None, wide, tall, planes.view_count)
+
+
+def add_cell_scores(
+    chain: Chain,
+    planes: Planes,
+    cells: Planes,
+    layers_px: np.ndarray,
+    directions: np.ndarray,
+    config: CorrelationConfig,
+) -> Array:
+    """Add the scores of all layers; (cells, D)."""
+    pad_x, pad_y = (pad + WINDOW_REACH_PX for pad in padding(layers_px, directions, config.sampling))
+    # A second column of cells at the border reaches 2 px further, the taps that three views read with it another one.
+    pad_x += 2 * WINDOW_REACH_PX
+    tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
+    three = planes.view_count == 3
+    most = int(min(_CHUNK_BYTES, chain.device.largest_bytes) // (4 * tall * wide))
+    chunks = chunks_of(layers_px, directions, config.sampling, most, len(layers_px), whole=True)
+    margin = pad_x if three else 0
+    most_phases = max(len(chunk.phases_y) for chunk in chunks)
+    samples = samples_y = chain.array("samples_y", tall * (planes.width + 2 * margin) * most_phases)
+    if not three:
+        samples = chain.array("samples", tall * wide * max(len(chunk.phases_x) for chunk in chunks))
+    score = chain.array("score", cells.pixels * len(layers_px))
+    for number, chunk in enumerate(chunks):
+        if three:
+            add_samples_y(chain, planes, chunk, number, samples_y, margin=margin, pad_y=pad_y, whole=True)
+            further = [chain.constant(f"taps_x{number}", chunk.phases_x)]
+        else:
+            add_samples(chain, planes, chunk, number, samples_y, samples, pad_x=pad_x, pad_y=pad_y, whole=True)
+            further = []
+        chain.add(
+            "cell_scores", [samples, chain.constant(f"places{number}", chunk.places), planes.stats, score, *further],
+            -(-cells.height // _CELLS) * -(-cells.width // 2) * chunk.size,
+            uses=("cells_three" if three else "cells_two",), views=planes.view_count, cells_each=_CELLS,
+            cells_wide=cells.width, cells_tall=cells.height, entry_count=len(chunk.phases_x),
+            phase_count=len(chunk.phases_y), layer_count=chunk.size, first_layer=chunk.first, all_layers=len(layers_px),
+            reach=WINDOW_REACH_PX, score_parts=SCORE_PARTS, relative_epsilon=sum(CELL_TAPS) ** 4 * CELL_EPSILON,
+            least_floor=sum(CELL_TAPS) ** 4 * LEAST_FLOOR, width=planes.width, pad_x=pad_x, pad_y=pad_y,
+        )  # fmt: skip
+    if not three:
+        chain.add(
+            "own_sign", [score], cells.pixels, cell_count=cells.pixels, all_layers=len(layers_px),
+            contrary=float(SCORE_PARTS * CONTRARY),
+        )  # fmt: skip
+    return score
+
+
+def add_label_likelihood(
+    chain: Chain,
+    cells: Planes,
+    score: Array,
+    labels: Array,
+    layers_px: np.ndarray,
+    labels_px: np.ndarray,
+    *,
+    pitch: int,
+    score_parts: int,
+    of_labels: dict[str, Any],
+) -> Array:
+    """Add the log-likelihoods of all labels; (cells, pitch)."""
+    likelihood = chain.array("likelihood", cells.pixels * pitch)
+    chain.add(
+        "label_likelihood", [score, labels, cells.planes, likelihood], likelihood.size // 4, width=cells.width,
+        height=cells.height, view_count=cells.view_count, all_layers=len(layers_px), label_count=len(labels_px),
+        pitch=pitch, parts=(len(labels_px) - 1) // (len(layers_px) - 1), first_px=float(layers_px[0]),
+        layer_step_px=float(layers_px[1] - layers_px[0]), **LIKELIHOOD, score_parts=score_parts, **of_labels,
+    )  # fmt: skip
+    return likelihood
+
+
+def add_enlarged_cells(chain: Chain, planes: Planes, cells: Planes, surface: Array) -> Array:
+    """Add the surface at the pixels of the halved picture; (h, w, 4)."""
+    enlarged = chain.array("surface_enlarged", 4 * planes.pixels)
+    chain.add(
+        "cells_enlarged", [surface, planes.planes, planes.stats, enlarged], planes.pixels, width=planes.width,
+        height=planes.height, half_width=cells.width, jump_px=JUMP_PX, guide_start=planes.view_count * planes.pixels,
+        guide_scale=GUIDE_SCALE,
+    )  # fmt: skip
+    return enlarged

@@ -9,38 +9,173 @@ time as a quarter of a gigabyte holds; what a round works on is used again by th
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from itertools import combinations_with_replacement
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.fft
 
-from chromaperture.matching.device.device import Array, Chain, DeviceError
-from chromaperture.matching.device.evidence_plan import MOST_TRANSFORMED, EvidencePlan, Part, RoundSizes
+from chromaperture.matching.device.device import GROUP, Array, Chain, DeviceError, groups_for
 from chromaperture.matching.device.surface_stages import AT_ONCE, add_gaussian, gaussian_taps
-from chromaperture.matching.device.workgroups import GROUP, groups_for
-from chromaperture.matching.evidence.blur import CONTRARY, IN_FOCUS_PX, MAX_CORRELATION2_OF_BANDS, finest_px
+from chromaperture.matching.evidence.blur import (
+    CONTRARY,
+    IN_FOCUS_PX,
+    MAX_CORRELATION2_OF_BANDS,
+    SHARP_PX,
+    SPACING_PX,
+    TAILS_PX,
+    BlurEvidence,
+    finest_px,
+)
 from chromaperture.matching.readable.band_correlation import LEAST_POWER, LEAST_SEEN
-from chromaperture.matching.readable.tiles import BACKGROUND_PX, LAG_PX, SAMPLING_PX, NodeAxis
+from chromaperture.matching.readable.tiles import BACKGROUND_PX, LAG_PX, SAMPLING_PX, NodeAxis, Nodes
+from chromaperture.settings.stages import CrossFilterConfig
 
-RADICES = (16, 12, 10, 9, 8, 6, 5, 4, 3, 2)  # of `fourier.wgsl`
+MOST_TRANSFORMED = 1024  # complex numbers of two lines: they fill 16 KB of shared memory
+MOST_BANDS = 8  # whose numbers fit into 32 bits
+ROUND_BYTES = 1 << 28  # of the arrays that a round of layers works on; chosen by hand
+RADICES = (16, 12, 10, 9, 8, 6, 5, 4, 3, 2)  # of `fourier`
 SHARED_NUMBERS = 4000  # of the correlations of a sample in 16 KB of shared memory
 CELLS = 4096  # pixels of a point-spread function in 16 KB of shared memory
 FEW = 4  # neighbours that an invocation of the other filters has
 _NEGLIGIBLE = 1e-8  # of a window's transform
 
 
+class Part(NamedTuple):
+    """Computed layers that have the same pairs of channels."""
+
+    pairs: tuple[tuple[int, int], ...]  # the first of `BlurEvidence.all_pairs`, or all
+    begin: int  # of the computed layers
+    end: int
+
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """Channels that the pairs use."""
+        return tuple(sorted({k for pair in self.pairs for k in pair}))
+
+
+@dataclass(frozen=True)
+class EvidencePlan:
+    """Sizes and constants of the evidence for one camera and one set of layers."""
+
+    source: BlurEvidence
+    layers_px: np.ndarray  # (D,) float, an odd number; see `BlurEvidence.at`
+    # (E,) float: every second layer, and the others where blur is narrow. First those of secondary pairs, too: every
+    # fourth, and the last.
+    computed_px: np.ndarray
+    places: np.ndarray  # (D,) int32: where a layer is among these, -1 where it is interpolated
+    parts: tuple[Part, ...]
+    nodes: Nodes
+
+    @property
+    def samples(self) -> tuple[int, int]:
+        """Height and width of the evidence."""
+        blur = self.source.blur
+        return -(-blur.height_px // SPACING_PX), -(-blur.width_px // SPACING_PX)
+
+    @property
+    def factors(self) -> float:
+        """See `stages.read_at_labels`."""
+        return float(sum(self.source.config.band_weights))
+
+
+def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
+    """Choose layers and tiles; raises DeviceError where a tile is too large for the device."""
+    step = layers_px[1] - layers_px[0]
+    layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 * 2 + 1)
+    numbers = np.arange(len(layers_px))
+    sharp = (numbers % 2 == 1) & (np.abs(layers_px) < SHARP_PX * source.blur.reach)
+    of_all_pairs = (numbers % 4 == 0) | (numbers == numbers[-1])
+    computed = np.concatenate([numbers[of_all_pairs], numbers[~of_all_pairs & ((numbers % 2 == 0) | sharp)]])
+    places = np.full(len(layers_px), -1, np.int32)
+    places[computed] = np.arange(len(computed))
+    parts = [
+        Part(source.all_pairs, 0, int(of_all_pairs.sum())),
+        Part(source.blur.pairs, int(of_all_pairs.sum()), len(computed)),
+    ]
+    if source.all_pairs == source.blur.pairs:
+        parts = [Part(source.all_pairs, 0, len(computed))]
+    margin = 2 * float(np.abs(layers_px).max()) / source.blur.reach + TAILS_PX
+    nodes = Nodes(source.blur.height_px, source.blur.width_px, margin_px=margin)
+    if nodes.size_px > MOST_TRANSFORMED:
+        raise DeviceError(
+            f"tiles of {nodes.size_px} px are too large for the GPU, at most {MOST_TRANSFORMED}: "
+            "use --device cpu, or a smaller --scale"
+        )
+    return EvidencePlan(
+        source, layers_px, layers_px[computed], places, tuple(part for part in parts if part.end > part.begin), nodes
+    )
+
+
+class RoundSizes:
+    """Sizes of what a round of layers of a part works on; ``layers_px`` are all that are computed."""
+
+    def __init__(self, plan: EvidencePlan, part: Part, layers_px: np.ndarray) -> None:
+        nodes, source = plan.nodes, plan.source
+        self.size, self.kept = nodes.size, nodes.size // 2
+        self.tiles, self.middle = len(nodes.places), 2 * nodes.half
+        self.pairs, self.bands = len(part.pairs), len(source.config.bands_px)
+        self.part, self.pictures = part, self.tiles * len(part.channels)
+        at_infinity, scale = source.blur.reference
+        inverse = (at_infinity - layers_px[part.begin : part.end]) / scale
+        self.defocus = source.blur.model.scale_px_mm * inverse
+        self.rays = [source.blur.rays(*place, part.channels) for place in nodes.places]
+        self.reach = self._reach(source.blur.pupil.points)
+        self.side = 2 * int(self.reach.max()) + 2
+        self.smooths = _smooths(source.config)
+        height, width = nodes.shape
+        frame, small = self.pairs * height * width, self.pairs * -(-height // 2) * -(-width // 2)
+        self.arrays = dict(  # numbers a layer
+            point_rows=2 * self.pictures * self.side * self.kept,
+            transfers=2 * self.pictures * self.size * self.kept,
+            cross_columns=4 * self.tiles * self.pairs * self.kept * self.middle,
+            tile_views=2 * self.tiles * self.pairs * self.middle**2,
+            joined=2 * frame,
+            smooth_rows=2 * self.smooths.taps.shape[1] * frame,
+            band_views=2 * self.bands * frame,
+            products=3 * self.bands * small,
+            product_rows=3 * self.bands * small,
+        )
+        most = ROUND_BYTES // (4 * sum(self.arrays.values()))
+        self.count = part.end - part.begin
+        self.rounds = math.ceil(self.count / max(1, most))
+        self.layers = math.ceil(self.count / self.rounds)
+
+    def _reach(self, points: np.ndarray) -> np.ndarray:
+        """Px from the chief ray that light reaches at every layer."""
+        at_infinity = np.stack([rays.at_infinity_px for rays in self.rays])
+        lit = np.stack([rays.light for rays in self.rays])[..., None] > 0
+        return np.array([math.ceil(np.abs((at_infinity - d * points) * lit).max()) for d in self.defocus])
+
+
+class Smooths(NamedTuple):
+    """Gaussians of all bands, after the finest of all, which is number 0."""
+
+    taps: np.ndarray  # (2 reach + `AT_ONCE`, S) float32: of numbers 1, 2, ..., zeros at the end
+    reach: int
+    fine: int  # number of the Gaussian of every band, four bits each
+    coarse: int
+
+
+def _smooths(config: CrossFilterConfig) -> Smooths:
+    finest = finest_px(config)
+    others = sorted({sigma for band in config.bands_px for sigma in band} - {finest})
+    if len(config.bands_px) > MOST_BANDS or len(others) >= 16:
+        raise DeviceError(f"{len(config.bands_px)} bands are too many for the GPU, at most {MOST_BANDS}")
+    each = [gaussian_taps(math.sqrt(sigma**2 - finest**2) / SAMPLING_PX) for sigma in others]
+    reach = max(len(taps) // 2 for taps in each)
+    wide = [np.pad(taps, (reach - len(taps) // 2, reach - len(taps) // 2 + AT_ONCE - 1)) for taps in each]
+    fine, coarse = (
+        sum(([finest, *others].index(band[k])) << 4 * i for i, band in enumerate(config.bands_px)) for k in (0, 1)
+    )
+    return Smooths(np.stack(wide, axis=-1).astype(np.float32), reach, fine, coarse)
+
+
 def add_evidence(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -> Array:
     """Append all stages from a photograph to the unexplained fraction of every layer, (samples, D).
 
-    Parameters
-    ----------
-    chain : Chain
-    plan : EvidencePlan
-    image : Array
-        (H, W, 3), linear RGB, finite.
-    noise : Array
-        (tiles, 3), `Nodes.noise_powers`; 0 where noise is not known.
+    ``image``: (H, W, 3), linear RGB, finite; ``noise``: (tiles, 3), `Nodes.noise_powers`, 0 where it is not known.
     """
     spectra, signal = _add_spectra(chain, plan, image, noise)
     correlation = _add_correlations(chain, plan, spectra, signal)
@@ -52,14 +187,11 @@ def add_evidence(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
         raise DeviceError(f"{lists} bands of pairs at {len(plan.layers_px)} layers are too many for the GPU")
     chain.add(
         "pair_evidence", [correlation, chain.constant("places", plan.places), unexplained],
-        groups=groups_for(samples, 1), uses=("correlations",), samples=samples, count=len(plan.layers_px),
-        computed=len(plan.computed_px),
+        groups=groups_for(samples, 1), samples=samples, count=len(plan.layers_px), computed=len(plan.computed_px),
         pairs=len(pairs), primary_pairs=len(plan.source.blur.pairs), of_all_pairs=plan.parts[0].end,
-        bands=len(config.bands_px),
-        weights=[float(w) for w in config.band_weights], most_correlation2=MAX_CORRELATION2_OF_BANDS,
-        contrary_product=CONTRARY,
-        fallback_weight=float(config.fallback_weight), fallback_nats=float(config.fallback_nats),
-        factors=plan.factors,
+        bands=len(config.bands_px), weights=[float(w) for w in config.band_weights],
+        most_correlation2=MAX_CORRELATION2_OF_BANDS, contrary_product=CONTRARY,
+        fallback_weight=float(config.fallback_weight), fallback_nats=float(config.fallback_nats), factors=plan.factors,
     )  # fmt: skip
     return unexplained
 
@@ -84,10 +216,10 @@ def add_transform(
     group_size = GROUP * -(-most_butterflies // GROUP)
     lines_of_group = max(1, min(group_size // most_butterflies, MOST_TRANSFORMED // span))
     chain.add(
-        stage, [_factors(chain, span), *arrays], groups=groups_for(lines, lines_of_group),
-        uses=("indexing", "fourier"), span=span, lines=lines, lines_of_group=lines_of_group, group_size=group_size,
-        passes=len(radices), radices=sum(radix << 8 * i for i, radix in enumerate(radices)), last_radix=radices[-1],
-        backwards=backwards, beside_lines=beside_lines, **constants,
+        stage, [_factors(chain, span), *arrays], groups=groups_for(lines, lines_of_group), span=span, lines=lines,
+        lines_of_group=lines_of_group, group_size=group_size, passes=len(radices),
+        radices=sum(radix << 8 * i for i, radix in enumerate(radices)), last_radix=radices[-1], backwards=backwards,
+        beside_lines=beside_lines, **constants,
     )  # fmt: skip
 
 
@@ -140,19 +272,17 @@ def _add_spectra(chain: Chain, plan: EvidencePlan, image: Array, noise: Array) -
     for before, after, along_x in ((spectra, between, False), (between, power, True)):
         chain.add(
             "tile_smoothing", [before, taps, after],
-            groups=groups_for(pictures * (size * -(-columns // FEW) if along_x else columns * -(-size // FEW))),
-            uses=("indexing",),
-            pictures=pictures, size=size, reach=reach, along_x=along_x, is_spectrum=not along_x,
+            pictures * (size * -(-columns // FEW) if along_x else columns * -(-size // FEW)), pictures=pictures,
+            size=size, reach=reach, along_x=along_x, is_spectrum=not along_x,
         )  # fmt: skip
     chain.add(
-        "tile_signal", [power, noise, signal], groups=groups_for(pictures * size * columns), uses=("indexing",),
-        pictures=pictures, frequencies=size * columns,
+        "tile_signal", [power, noise, signal], pictures * size * columns, pictures=pictures, frequencies=size * columns,
     )  # fmt: skip
     return spectra, signal
 
 
 def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: Array) -> Array:
-    """Append what all layers need, in rounds; correlations, see `correlations.wgsl`."""
+    """Append what all layers need, in rounds; correlations, see `correlations`."""
     sizes = [RoundSizes(plan, part, plan.computed_px) for part in plan.parts]
     in_focus = RoundSizes(plan, Part(plan.source.all_pairs, 0, 1), np.array([IN_FOCUS_PX]))
     every = (in_focus, *sizes) if plan.source.config.allowed_growth > 0 else tuple(sizes)
@@ -166,8 +296,8 @@ def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: 
     tiles, span, all_pairs = len(plan.nodes.places), sizes[0].size, plan.source.all_pairs
     of_pairs = chain.array("pair_spectra", 4 * tiles * len(all_pairs) * span * (span // 2))
     chain.add(
-        "pair_spectra", [spectra, signal, chain.constant("low_pass", low_pass), of_pairs],
-        groups=groups_for(of_pairs.size // 4), uses=("indexing",), tiles=tiles, pair_count=len(all_pairs), span=span,
+        "pair_spectra", [spectra, signal, chain.constant("low_pass", low_pass), of_pairs], of_pairs.size // 4,
+        tiles=tiles, pair_count=len(all_pairs), span=span,
         pairs=sum((a | b << 2) << 4 * i for i, (a, b) in enumerate(all_pairs)),
     )  # fmt: skip
     constants = dict(
@@ -189,8 +319,7 @@ def _add_correlations(chain: Chain, plan: EvidencePlan, spectra: Array, signal: 
             _add_windows(chain, plan, part, made, constants["band_taps"])
             if part is in_focus:
                 chain.add(
-                    "band_powers", [made["products"], seen], groups=groups_for(seen.size // 2), uses=("indexing",),
-                    windows=seen.size // 2,
+                    "band_powers", [made["products"], seen], seen.size // 2, windows=seen.size // 2,
                 )  # fmt: skip
             else:
                 _add_correlation(chain, plan, part, made["products"], (seen, round_), correlation)
@@ -236,9 +365,8 @@ def _add_transfers(
     )  # fmt: skip
     chain.add(
         "point_rows", [factors, rays, pupil, defocus, round_, made["point_rows"]],
-        groups=(sizes.pictures, sizes.side / rows_of_group, sizes.layers),
-        points=len(plan.source.blur.pupil.points), rows_of_group=rows_of_group, cells=rows_of_group * sizes.side,
-        **same,
+        groups=(sizes.pictures, sizes.side / rows_of_group, sizes.layers), points=len(plan.source.blur.pupil.points),
+        rows_of_group=rows_of_group, cells=rows_of_group * sizes.side, **same,
     )  # fmt: skip
     chain.add(
         "point_columns", [factors, defocus, round_, made["point_rows"], made["transfers"]],
@@ -254,22 +382,21 @@ def _add_views(
     place_of = sizes.part.channels.index
     pairs = sum((place_of(a) | place_of(b) << 2) << 4 * i for i, (a, b) in enumerate(sizes.part.pairs))
     add_transform(
-        chain, "cross_columns", [constants["pair_spectra"], made["transfers"], made["cross_columns"]],
-        sizes.size, pictures * sizes.kept, backwards=True, beside_lines=True, tiles=sizes.tiles,
-        channels=len(sizes.part.channels), pair_count=sizes.pairs, all_pairs=len(plan.source.all_pairs), pairs=pairs,
-        middle=sizes.middle, damping=float(plan.source.config.damping),
+        chain, "cross_columns", [constants["pair_spectra"], made["transfers"], made["cross_columns"]], sizes.size,
+        pictures * sizes.kept, backwards=True, beside_lines=True, tiles=sizes.tiles, channels=len(sizes.part.channels),
+        pair_count=sizes.pairs, all_pairs=len(plan.source.all_pairs), pairs=pairs, middle=sizes.middle,
+        damping=float(plan.source.config.damping),
     )  # fmt: skip
     add_transform(
-        chain, "cross_rows", [made["cross_columns"], made["tile_views"]],
-        sizes.size, pictures * sizes.middle // 2, backwards=True, beside_lines=False, middle=sizes.middle,
+        chain, "cross_rows", [made["cross_columns"], made["tile_views"]], sizes.size, pictures * sizes.middle // 2,
+        backwards=True, beside_lines=False, middle=sizes.middle,
     )  # fmt: skip
     height, width = plan.nodes.shape
     chain.add(
         "tiles_joined",
         [made["tile_views"], constants["across"], constants["down"], constants["starts"], made["joined"]],
-        groups=groups_for(sizes.layers * sizes.pairs * height * width), uses=("indexing",), height=height, width=width,
-        layers_of_round=sizes.layers, pair_count=sizes.pairs, tiles=sizes.tiles, middle=sizes.middle,
-        node_columns=len(plan.nodes.across.starts),
+        sizes.layers * sizes.pairs * height * width, height=height, width=width, layers_of_round=sizes.layers,
+        pair_count=sizes.pairs, tiles=sizes.tiles, middle=sizes.middle, node_columns=len(plan.nodes.across.starts),
     )  # fmt: skip
 
 
@@ -284,18 +411,16 @@ def _add_windows(chain: Chain, plan: EvidencePlan, sizes: RoundSizes, made: dict
         height=height, width=width, pictures=pictures, smooths=smooths.taps.shape[1], reach=smooths.reach
     )
     chain.add(
-        "bands_rows", [made["joined"], band_taps, made["smooth_rows"]],
-        groups=groups_for(pictures * height * -(-width // AT_ONCE)), uses=("indexing", "eight_sums"), **same,
+        "bands_rows", [made["joined"], band_taps, made["smooth_rows"]], pictures * height * -(-width // AT_ONCE),
+        **same,
     )  # fmt: skip
     chain.add(
         "bands_columns", [made["joined"], made["smooth_rows"], band_taps, made["band_views"]],
-        groups=groups_for(pictures * -(-height // AT_ONCE) * width), uses=("indexing", "eight_sums"), bands=sizes.bands,
-        fine=smooths.fine, coarse=smooths.coarse, **same,
+        pictures * -(-height // AT_ONCE) * width, bands=sizes.bands, fine=smooths.fine, coarse=smooths.coarse, **same,
     )  # fmt: skip
     chain.add(
-        "band_products", [made["band_views"], made["products"]],
-        groups=groups_for(planes * -(-small[0] // FEW) * small[1]), uses=("indexing",), height=height, width=width,
-        planes=planes,
+        "band_products", [made["band_views"], made["products"]], planes * -(-small[0] // FEW) * small[1], height=height,
+        width=width, planes=planes,
     )  # fmt: skip
     rest_px = math.sqrt(max(config.window_sigma_px**2 - SAMPLING_PX**2, 0.01))  # as `blur_evidence`
     add_gaussian(
@@ -320,12 +445,10 @@ def _add_correlation(
     """Append the correlations of P and Q, from their products in windows, and the powers seen in focus."""
     (height, width), config = (-(-n // 2) for n in plan.nodes.shape), plan.source.config
     chain.add(
-        "band_correlation", [products, *inputs, correlation],
-        groups=groups_for(sizes.bands * sizes.layers * sizes.pairs * height * width),
-        uses=("indexing", "correlations"), height=height, width=width,
-        bands=sizes.bands, layers_of_round=sizes.layers, pair_count=sizes.pairs, first_layer=sizes.part.begin,
-        all_pairs=len(plan.source.all_pairs), least_power=float(LEAST_POWER), least_seen=float(LEAST_SEEN),
-        allowed_growth=config.allowed_growth, takes_off=int(config.allowed_growth > 0),
+        "band_correlation", [products, *inputs, correlation], sizes.bands * sizes.layers * sizes.pairs * height * width,
+        height=height, width=width, bands=sizes.bands, layers_of_round=sizes.layers, pair_count=sizes.pairs,
+        first_layer=sizes.part.begin, all_pairs=len(plan.source.all_pairs), least_power=float(LEAST_POWER),
+        least_seen=float(LEAST_SEEN), allowed_growth=config.allowed_growth, takes_off=int(config.allowed_growth > 0),
         layer_count=sizes.part.end, primary_pairs=len(plan.source.blur.pairs), computed=len(plan.computed_px),
         of_all_pairs=plan.parts[0].end, kept_height=plan.samples[0], kept_width=plan.samples[1],
     )  # fmt: skip

@@ -1,3 +1,6 @@
+// Transforms of lines, and the tiles that they are taken of.
+
+// ---- fourier
 // Fourier transforms of lines of `span` complex numbers, at most 1024: Stockham's, of radices 2 to 16. An entry is a vector
 // of two numbers, of two lines that go side by side. A stage has two functions of its own:
 //     fn taken(line: u32, place: u32) -> vec4f          an entry of a line before
@@ -5,7 +8,7 @@
 // The first pass reads what is taken, the last one gives; what lies between goes through shared memory. An invocation has
 // one butterfly of a pass. Factors come from a table, because sine and cosine of a shader are good to 2^-11 only.
 
-@group(0) @binding(0) var<storage, read> factors: array<vec2f>;  // (span,): exp(-2 pi i k / span)
+in factors: array<vec2f>;  // (span,): exp(-2 pi i k / span)
 
 var<workgroup> shared_line: array<vec4f, lines_of_group * span>;
 
@@ -279,4 +282,185 @@ fn put_fourths(values: ptr<function, array<vec4f, 16>>, first: u32, step: u32, f
     (*values)[first + step] = f.b;
     (*values)[first + 2u * step] = f.c;
     (*values)[first + 3u * step] = f.d;
+}
+
+// ---- tile_rows: indexing, fourier
+// Fourier transforms of the rows of all tiles of a photograph without its shading: the low frequencies only. Two rows go
+// side by side.
+
+in image: array<f32>;  // (h, w, 3)
+in shading: array<f32>;  // (h, w, 3)
+in corners: array<i32>;  // (tiles, 2): x and y of a tile's first pixel
+out rows: array<vec2f>;  // (tiles, 3, span, kept)
+
+fn detail(row: u32, place: u32) -> f32 {
+    let tile = row / (3u * span);
+    let x = mirrored(corners[2u * tile] + i32(place), width);
+    let y = mirrored(corners[2u * tile + 1u] + i32(row % span), height);
+    let at = (y * width + x) * 3u + row / span % 3u;
+    return image[at] - shading[at];
+}
+
+fn taken(line: u32, x: u32) -> vec4f {
+    return vec4f(detail(2u * line, x), 0.0, detail(2u * line + 1u, x), 0.0);
+}
+
+fn given(line: u32, x: u32, value: vec4f) {
+    if (x < kept) {
+        rows[2u * line * kept + x] = value.xy;
+        rows[(2u * line + 1u) * kept + x] = value.zw;
+    }
+}
+
+@workgroup_size(group_size)
+fn main(group, groups, local) {
+    transform((group.x + group.y * groups.x) * lines_of_group, local);
+}
+
+// ---- tile_columns: indexing, fourier
+// The same along the columns: spectra of the tiles as coarser samples have them, one value for one pixel's. Two of all
+// columns go side by side.
+
+in rows: array<vec2f>;  // (tiles, 3, span, kept)
+out spectra: array<vec2f>;  // (tiles, 3, size, size / 2 + 1)
+
+fn entry(column: u32, y: u32) -> vec2f {
+    return rows[(column / kept * span + y) * kept + column % kept];
+}
+
+fn taken(line: u32, y: u32) -> vec4f {
+    return vec4f(entry(2u * line, y), entry(2u * line + 1u, y));
+}
+
+fn given(line: u32, place: u32, value: vec4f) {
+    if (place >= kept && place <= span - kept) { return; }
+    let y = select(place, place + size - span, place >= kept);
+    for (var k = 0u; k < 2u; k++) {
+        let column = 2u * line + k;
+        spectra[(column / kept * size + y) * (size / 2u + 1u) + column % kept] = select(value.xy, value.zw, k == 1u) * gain;
+    }
+}
+
+@workgroup_size(group_size)
+fn main(group, groups, local) {
+    transform((group.x + group.y * groups.x) * lines_of_group, local);
+}
+
+// ---- tile_smoothing: indexing
+// Power of the spectra of tiles, averaged over neighbouring frequencies along one axis; spectra repeat beyond the ends.
+// An invocation has four neighbours along the axis, whose frequencies overlap.
+
+in before: array<f32>;  // (tiles, 3, size, size / 2 + 1), complex, or powers later
+in taps: array<f32>;  // (2 reach + 4,): three zeros at the end
+out power: array<f32>;
+
+const columns = size / 2u + 1u;
+const fours = (select(size, columns, along_x) + 3u) / 4u;
+
+fn power_at(at: u32) -> f32 {
+    if (!is_spectrum) { return before[at]; }
+    let value = vec2f(before[2u * at], before[2u * at + 1u]);
+    return dot(value, value);
+}
+
+fn main(i) {
+    if (i >= pictures * select(columns, size, along_x) * fours) { return; }
+    let first = 4u * select(i / columns % fours, i % fours, along_x);
+    let line = select(i % columns, i / fours % size, along_x);
+    let picture = i / (fours * select(columns, size, along_x)) * size * columns;
+    let mirrored_line = select(size - line, 0u, line == 0u);
+    var sum = vec4f();
+    var weights = vec4f();  // of the four frequencies, for what is read
+    var place = (first + size - reach) % size;
+    for (var k = 0u; k < 2u * reach + 4u; k++) {
+        weights = vec4f(taps[k], weights.xyz);
+        var at = picture + place * columns + line;
+        if (along_x) {  // the other half of a real picture's spectrum is the first one, mirrored
+            at = picture + select(line * columns + place, mirrored_line * columns + size - place, place >= columns);
+        }
+        sum += weights * power_at(at);
+        place = select(place + 1u, 0u, place + 1u == size);
+    }
+    for (var n = 0u; n < min(4u, select(size, columns, along_x) - first); n++) {
+        power[picture + select((first + n) * columns + line, line * columns + first + n, along_x)] = sum[n];
+    }
+}
+
+// ---- tile_signal: indexing
+// The fraction of the tiles' power that is no noise, at every frequency; see `readable/tiles.py`.
+
+in power: array<f32>;  // (tiles, 3, size, size / 2 + 1)
+in noise: array<f32>;  // (tiles, 3): power of the noise at any frequency
+out signal_share: array<f32>;
+
+fn main(i) {
+    if (i >= pictures * frequencies) { return; }
+    let least = noise[i / frequencies];
+    signal_share[i] = clamp(1.0 - least / max(power[i], least + 1.0e-30), 0.0, 1.0);  // 1e-30: no division by 0
+}
+
+// ---- cross_columns: indexing, fourier
+// Two channels of a tile filtered with each other's blur, P and Q, transformed back along the columns; see
+// `blur_evidence.py`. Frequencies of half a cycle a sample are left out.
+
+in pair_spectra: array<vec4f>;  // (tiles, all pairs, span, kept)
+in transfers: array<vec2f>;  // (layers of a round, tiles, channels, span, kept)
+// (layers of a round, tiles, pairs, middle, kept): P and Q of the middle rows
+out columns: array<vec4f>;
+
+const kept = span / 2u;
+
+fn taken(line: u32, y: u32) -> vec4f {
+    let pair = line / kept % pair_count;
+    let picture = line / (kept * pair_count);
+    let place = y * kept + line % kept;
+    let packed = pairs >> (4u * pair);  // where both channels are among those of the transfer functions
+    let both = pair_spectra[((picture % tiles * all_pairs + pair) * span + y) * kept + line % kept];
+    let blur_a = transfers[(picture * channels + (packed & 3u)) * span * kept + place];
+    let blur_b = transfers[(picture * channels + ((packed >> 2u) & 3u)) * span * kept + place];
+    let gain = inverseSqrt((dot(blur_a, blur_a) + dot(blur_b, blur_b)) * 0.5 + damping);
+    return vec4f(times(both.xy, blur_b), times(both.zw, blur_a)) * gain;
+}
+
+fn given(line: u32, y: u32, value: vec4f) {
+    let row = y - (span - middle) / 2u;
+    if (row < middle) { columns[(line / kept * middle + row) * kept + line % kept] = value; }
+}
+
+@workgroup_size(group_size)
+fn main(group, groups, local) {
+    transform((group.x + group.y * groups.x) * lines_of_group, local);
+}
+
+// ---- cross_rows: indexing, fourier
+// The transform of `cross_columns` along the rows: P and Q of the middle of every tile as the real and the imaginary
+// part of one picture. Two rows go side by side.
+
+in columns: array<vec4f>;  // (pictures, middle, kept)
+out views: array<vec2f>;  // (pictures, middle, middle)
+
+const kept = span / 2u;
+
+// P + i Q at a frequency, or at the negative of this one.
+fn joined(both: vec4f, negative: bool) -> vec2f {
+    return select(vec2f(both.x - both.w, both.y + both.z), vec2f(both.x + both.w, both.z - both.y), negative);
+}
+
+fn taken(line: u32, x: u32) -> vec4f {
+    if (x == kept) { return vec4f(); }
+    let at = 2u * line * kept + select(x, span - x, x > kept);
+    return vec4f(joined(columns[at], x > kept), joined(columns[at + kept], x > kept));
+}
+
+fn given(line: u32, x: u32, value: vec4f) {
+    let column = x - (span - middle) / 2u;
+    if (column < middle) {
+        views[2u * line * middle + column] = value.xy;
+        views[(2u * line + 1u) * middle + column] = value.zw;
+    }
+}
+
+@workgroup_size(group_size)
+fn main(group, groups, local) {
+    transform((group.x + group.y * groups.x) * lines_of_group, local);
 }

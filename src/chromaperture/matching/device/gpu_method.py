@@ -7,27 +7,25 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from chromaperture.matching.accurate import AccurateMethod
 from chromaperture.matching.device.accurate_chain import AccurateOnDevice
-from chromaperture.matching.device.device import Array, Chain, Device, DeviceError, Ticket, adapters, open_device
+from chromaperture.matching.device.device import Array, Chain, Device, DeviceError, Pending, adapters, open_device
 from chromaperture.matching.device.measured import (
-    NOTHING,
-    Further,
+    NO_EXTRAS,
+    Extras,
     Measured,
     OnDevice,
-    add_further,
+    add_extras,
     is_same,
     measured_from,
     outputs_of,
 )
 from chromaperture.matching.device.paper_chain import add_paper, runs_on_device
 from chromaperture.matching.device.real_time_chain import add_real_time
-from chromaperture.matching.device.view_stages import check_stats
-from chromaperture.matching.device.working_stages import Reduction, add_reduced, add_upsampled
+from chromaperture.matching.device.view_stages import Reduction, add_reduced, add_upsampled, check_stats
 from chromaperture.matching.labels import IDENTITY, LabelMap
 from chromaperture.matching.paper import PaperMethod
 from chromaperture.matching.real_time import RealTimeMethod
@@ -38,56 +36,37 @@ from chromaperture.settings.methods import MatcherConfig, PaperConfig, RealTimeC
 from chromaperture.system.errors import CaptureWarning, ChromapertureError, InputError, OutOfMemoryError
 
 
-class Started(NamedTuple):
-    """A photograph under way: what computes it, and its (H, W)."""
-
-    chain: Chain
-    ticket: Ticket
-    size: tuple[int, int]
-
-
 @dataclass
 class GpuMethod(OnDevice):
-    """Qualities "real-time" and "paper" on a device.
+    """Qualities "real-time" and "paper" on a device."""
 
-    Attributes
-    ----------
-    config : MatcherConfig
-        `RealTimeConfig` or `PaperConfig`.
-    space : ViewSpace
-    label_map : LabelMap
-    device : Device
-    reduction : Reduction or None
-        Where reduced pictures are matched; the other attributes are then those of their camera.
-    """
-
-    config: MatcherConfig
+    config: MatcherConfig  # RealTimeConfig or PaperConfig
     space: ViewSpace
     label_map: LabelMap
     device: Device
-    reduction: Reduction | None = None
+    reduction: Reduction | None = None  # of larger pictures, to those that the other fields are of
     _chain: Chain | None = None
     _size: tuple[int, int] = (0, 0)
-    _further: Further = NOTHING
+    _extras: Extras = NO_EXTRAS
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def start(self, image: np.ndarray, further: Further = NOTHING) -> Started:
-        """Send an image (H, W, 3) to the device, which begins; at most two are under way, `finish` them in turn."""
+    def start(self, image: np.ndarray, extras: Extras = NO_EXTRAS) -> Pending[Measured]:
+        """Send an image (H, W, 3) to the device, which begins; at most two are under way, to be awaited in turn."""
         size = (image.shape[0], image.shape[1])
         with self._lock, self._freed_on_failure():
-            chain = self._composed(size, further)
-            return Started(chain, chain.start({"image": image}, [*outputs_of(further), "stats"]), size)
+            pending = self._composed(size, extras).start({"image": image}, [*outputs_of(extras), "stats"])
 
-    def finish(self, started: Started) -> Measured:
-        """Wait for what `start` has begun."""
-        with self._lock, self._freed_on_failure():
-            found = started.chain.finish(started.ticket)
-        check_stats(found["stats"], len(self.space.rows))
-        return measured_from(found, started.size)
+        def result() -> Measured:
+            with self._lock, self._freed_on_failure():
+                found = pending.result()
+            check_stats(found["stats"], len(self.space.rows))
+            return measured_from(found, size)
 
-    def _composed(self, size: tuple[int, int], further: Further) -> Chain:
+        return Pending(result)
+
+    def _composed(self, size: tuple[int, int], extras: Extras) -> Chain:
         """Return the chain for a size, kept until another is needed."""
-        if self._chain is None or self._size != size or not is_same(self._further, further):
+        if self._chain is None or self._size != size or not is_same(self._extras, extras):
             self._chain = None
             chain = Chain(self.device)
             image = chain.array("image", 3 * size[0] * size[1])
@@ -97,8 +76,8 @@ class GpuMethod(OnDevice):
                 small = add_reduced(chain, image, size, self.reduction)
                 self._add_matching(chain, small, self.reduction.size_px[::-1])
                 add_upsampled(chain, image, small, size, self.reduction, self.config.views.guide_range)
-            add_further(chain, image, size, further)
-            self._chain, self._size, self._further = chain, size, further
+            add_extras(chain, image, size, extras)
+            self._chain, self._size, self._extras = chain, size, extras
         return self._chain
 
     def _add_matching(self, chain: Chain, image: Array, size: tuple[int, int]) -> None:
@@ -110,60 +89,44 @@ class GpuMethod(OnDevice):
             raise TypeError(type(self.config).__name__)
 
 
-class Waiting(NamedTuple):
-    """A photograph that is to be measured, and what the device has begun of it."""
-
-    image: np.ndarray
-    started: Any = None
-
-
 @dataclass
 class DeviceMethod:
-    """A method on a device as long as that works, else on the CPU.
-
-    Attributes
-    ----------
-    on_gpu : OnDevice
-    on_cpu : Method
-        Takes over, with one warning, where ``may_fall_back``.
-    may_fall_back : bool
-        Whether nobody asked for the device by name: then an error of the device is not the caller's concern.
-    """
+    """A method on a device as long as that works, else on the CPU."""
 
     on_gpu: OnDevice
     on_cpu: Method
-    may_fall_back: bool
+    may_fall_back: bool  # nobody asked for the device by name: its errors are not the caller's concern
     has_failed: bool = False
 
     def match(self, image: np.ndarray) -> Disparity:
         """Return the disparity of an image (H, W, 3)."""
         return self.measure(image).disparity
 
-    def measure(self, image: np.ndarray, further: Further = NOTHING) -> Measured:
+    def measure(self, image: np.ndarray, extras: Extras = NO_EXTRAS) -> Measured:
         """Return the disparity of an image, and its depth where the device made it."""
-        return self.finish(self.start(image, further))
+        return self.start(image, extras).result()
 
-    def start(self, image: np.ndarray, further: Further = NOTHING) -> Waiting:
+    def start(self, image: np.ndarray, extras: Extras = NO_EXTRAS) -> Pending[Measured]:
         """Send an image (H, W, 3) to the device, which computes it while another is read back.
 
-        At most two are under way; `finish` them in turn. On the CPU nothing begins before that.
+        At most two are under way, to be awaited in turn. The CPU begins when it is waited for.
         """
-        if self.has_failed:
-            return Waiting(image)
-        try:
-            return Waiting(image, self.on_gpu.start(image, further))
-        except (DeviceError, OutOfMemoryError) as error:
-            self.fall_back(error)
-            return Waiting(image)
-
-    def finish(self, waiting: Waiting) -> Measured:
-        """Return what `measure` would have returned."""
-        if waiting.started is not None:
+        pending: Pending[Measured] | None = None
+        if not self.has_failed:
             try:
-                return self.on_gpu.finish(waiting.started)
+                pending = self.on_gpu.start(image, extras)
             except (DeviceError, OutOfMemoryError) as error:
                 self.fall_back(error)
-        return Measured(self.on_cpu.match(waiting.image))
+
+        def result() -> Measured:
+            if pending is not None:
+                try:
+                    return pending.result()
+                except (DeviceError, OutOfMemoryError) as error:
+                    self.fall_back(error)
+            return Measured(self.on_cpu.match(image))
+
+        return Pending(result)
 
     def fall_back(self, error: ChromapertureError) -> None:
         """Go on with the CPU, which is said once, or raise the error."""
@@ -201,17 +164,8 @@ def chosen_device(choice: str) -> Device | None:
 def on_device(method: Method, choice: str, note: Callable[[str], None], *, pixels: int = 0) -> Method:
     """Return a method on the device of a choice, where the device can run it.
 
-    Parameters
-    ----------
-    method : Method
-        For the CPU.
-    choice : str
-        As `chosen_device`.
-    note : callable
-        Called with one line where a device was asked for and the CPU is taken, where the device is software, and where
-        it computes less than the CPU.
-    pixels : int
-        Of a photograph. Where the device has no array for it the CPU reduces it to the working scale.
+    ``note`` is called with one line where a device was asked for and the CPU is taken, or where it is software. Where
+    the device has no array for a photograph's ``pixels``, the CPU reduces it to the working scale.
     """
     if isinstance(method, ScaledMethod):
         matching = on_device(method.method, choice, note)

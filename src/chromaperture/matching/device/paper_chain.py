@@ -13,8 +13,7 @@ import numpy as np
 from chromaperture.matching.device.correlation_stages import Kept, add_correlation
 from chromaperture.matching.device.device import Array, Chain
 from chromaperture.matching.device.real_time_chain import add_links, add_recursions
-from chromaperture.matching.device.view_stages import SHARED, Planes, add_views
-from chromaperture.matching.device.workgroups import groups_for
+from chromaperture.matching.device.view_stages import Planes, add_views
 from chromaperture.matching.error_bar import CONFIDENCE_SCALE_PX, MAX_SIGMA_PX, independent_samples, sigma_of_range
 from chromaperture.matching.paper import EDGE_REACH_PX
 from chromaperture.matching.readable.bilateral import even_link
@@ -30,19 +29,7 @@ def runs_on_device(config: PaperConfig) -> bool:
 
 
 def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperConfig, space: ViewSpace) -> None:
-    """Add all stages from the image to ``disparity``, ``sigma`` and ``confidence``, (H, W) each.
-
-    Parameters
-    ----------
-    chain : Chain
-    image : Array
-        (H, W, 3) float32.
-    size : (int, int)
-        H, W.
-    config : PaperConfig
-        For which `runs_on_device`.
-    space : ViewSpace
-    """
+    """Add all stages from the image (H, W, 3) to ``disparity``, ``sigma`` and ``confidence``, (H, W) each."""
     planes = add_views(chain, image, size, space, config.views)
     layers_px = config.layers.values_px
     first, step = float(layers_px[0]), float(layers_px[1] - layers_px[0])
@@ -51,24 +38,22 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
     links = add_links(chain, planes, best, even=even, edge_range=1.0, by_layer=False)
     kept = Kept("weighted", ("scores_weighted",), {"least_weight": MIN_WEIGHT}, more=1, together=4)
     directions = space.directions
-    for maps, chunk, fours in add_correlation(
+    for maps, chunk in add_correlation(
         chain, planes, layers_px, directions, config.correlation, chunked=True, kept=kept
     ):
-        pitch = kept.pitch_of(chunk.size, fours)
+        pitch = kept.pitch_of(chunk.size)
         # Up to the map of the weights: behind the layers by four, or in their last place where that is free.
-        filtered = 4 * fours.quads + (chunk.size == 4 * fours.quads)
+        filtered = 4 * chunk.quads + (chunk.size == 4 * chunk.quads)
         add_recursions(chain, planes, maps, links, map_count=filtered, gain=1 - even, own=0.0, pitch=pitch)
         chain.add(
-            "running_winner", [maps, best], groups=groups_for(planes.pixels),
-            uses=SHARED, phases=fours.phases, per_phase=fours.per_phase,
-            pixels=planes.pixels, pitch=pitch, layer_count=chunk.size, first_layer=chunk.first,
+            "running_winner", [maps, best], planes.pixels, quads=chunk.quads, pixels=planes.pixels, pitch=pitch,
+            layer_count=chunk.size, first_layer=chunk.first,
         )  # fmt: skip
     peaks, ranges = (chain.array(name, count * planes.pixels) for name, count in (("peaks", 3), ("ranges", 2)))
     chain.add(
-        "peak", [best, peaks], groups=groups_for(planes.pixels), uses=SHARED,
-        pixels=planes.pixels, view_count=planes.view_count, total_layers=len(layers_px), first_px=first, step_px=step,
-        samples=independent_samples(config), sigma_scale=config.sigma_scale, range_sigma_px=sigma_of_range(layers_px),
-        max_sigma_px=MAX_SIGMA_PX,
+        "peak", [best, peaks], planes.pixels, pixels=planes.pixels, view_count=planes.view_count,
+        total_layers=len(layers_px), first_px=first, step_px=step, samples=independent_samples(config),
+        sigma_scale=config.sigma_scale, range_sigma_px=sigma_of_range(layers_px), max_sigma_px=MAX_SIGMA_PX,
     )  # fmt: skip
     of_square: dict[str, Any] = {
         "width": size[1],
@@ -76,7 +61,7 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
         "reach": EDGE_REACH_PX,
         "side": 2 * EDGE_REACH_PX + 1,
     }
-    chain.add("peak_range_x", [peaks, ranges], groups=groups_for(planes.pixels), uses=SHARED, **of_square)
+    chain.add("peak_range_x", [peaks, ranges], planes.pixels, **of_square)
     hue_share = config.hue_share * mixed_share(space.rows)
     if hue_share > 0:
         unlike, cells = _add_unlike_share(chain, planes, peaks, space.directions)
@@ -85,10 +70,9 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
     outputs = [chain.array(name, planes.pixels) for name in ("disparity", "sigma", "confidence")]
     widest = sigma_of_range(layers_px)
     chain.add(
-        "peak_range", [peaks, ranges, unlike, *outputs], groups=groups_for(planes.pixels), uses=(*SHARED, "finishing"),
-        edge_share=config.edge_share, floor_px=config.floor_px / moved_px(space.directions),
-        hue_px=hue_share * widest, range_sigma_px=widest, max_sigma_px=MAX_SIGMA_PX,
-        confidence_scale_px=CONFIDENCE_SCALE_PX, **cells, **of_square,
+        "peak_range", [peaks, ranges, unlike, *outputs], planes.pixels, edge_share=config.edge_share,
+        floor_px=config.floor_px / moved_px(space.directions), hue_px=hue_share * widest, range_sigma_px=widest,
+        max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX, **cells, **of_square,
     )  # fmt: skip
 
 
@@ -100,12 +84,11 @@ def _add_unlike_share(
     count = cells["columns"] * cells["rows"]
     moments, share = chain.array("unlike_moments", 8 * count), chain.array("unlike_share", count)
     chain.add(
-        "unlike_moments", [planes.planes, peaks, moments], groups=groups_for(count), uses=SHARED,
-        width=planes.width, height=planes.height, view_count=planes.view_count, directions=np.ravel(directions),
-        cell=CELL_PX, **cells,
+        "unlike_moments", [planes.planes, peaks, moments], count, width=planes.width, height=planes.height,
+        view_count=planes.view_count, directions=np.ravel(directions), cell=CELL_PX, **cells,
     )  # fmt: skip
     chain.add(
-        "unlike_share", [moments, share], groups=groups_for(count), uses=SHARED,
-        view_count=planes.view_count, side=WINDOW_CELLS, least_variance=LEAST_VARIANCE, **cells,
+        "unlike_share", [moments, share], count, view_count=planes.view_count, side=WINDOW_CELLS,
+        least_variance=LEAST_VARIANCE, **cells,
     )  # fmt: skip
     return share, cells

@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.matching.device.cell_stages import (
+from chromaperture.matching.device.correlation_stages import (
     LIKELIHOOD,
+    Kept,
     add_cell_planes,
     add_cell_scores,
+    add_correlation,
     add_enlarged_cells,
     add_label_likelihood,
 )
-from chromaperture.matching.device.correlation_stages import Kept, add_correlation
-from chromaperture.matching.device.device import Array, Chain
-from chromaperture.matching.device.view_stages import GUIDE_SCALE, SHARED, Planes, add_halved_views, add_two_views
-from chromaperture.matching.device.workgroups import groups_for
+from chromaperture.matching.device.device import Array, Chain, groups_for
+from chromaperture.matching.device.view_stages import GUIDE_SCALE, Planes, add_halved_views, add_two_views
 from chromaperture.matching.error_bar import CONFIDENCE_SCALE_PX, MAX_SIGMA_PX, sigma_of_range
 from chromaperture.matching.labels import MOST_APART_PX, LabelMap, labels_between
 from chromaperture.matching.readable.bilateral import even_link
@@ -40,30 +40,15 @@ from chromaperture.matching.readable.place import (
 from chromaperture.matching.views import ViewSpace
 from chromaperture.settings.methods import RealTimeConfig
 
-LABELLED = (*SHARED, "half_labels")  # functions of the stages that follow equal depth
-_AT_ONCE = 8  # samples of a line: `each` of ``smoothing_of_lines.wgsl``
 _LANES = 4  # invocations that share a path
 # Steps of a path that are read before they are needed. On an H200 a step took 0.7 us without.
-_AHEAD, _AHEAD_IN_SOFTWARE = 4, 1
+_AHEAD = 4
 
 
 def add_real_time(
     chain: Chain, image: Array, size: tuple[int, int], config: RealTimeConfig, space: ViewSpace, label_map: LabelMap
 ) -> None:
-    """Add all stages from the image to ``disparity``, ``sigma`` and ``confidence``, (H, W) each.
-
-    Parameters
-    ----------
-    chain : Chain
-    image : Array
-        (H, W, 3) float32.
-    size : (int, int)
-        H, W.
-    config : RealTimeConfig
-    space : ViewSpace
-    label_map : LabelMap
-        (H, W), or `IDENTITY`.
-    """
+    """Add all stages from the image (H, W, 3) to ``disparity``, ``sigma`` and ``confidence``, (H, W) each."""
     height, width = size
     whole = add_halved_views(chain, image, size, space, config.views)
     cell_px = config.correlation.cell_px
@@ -80,7 +65,7 @@ def add_real_time(
     frame: dict[str, Any] = {"width": planes.width, "height": planes.height}
     at_once = cell_px == 1 and label_map.is_identity and len(labels_px) == len(layers_px)
     if cell_px == 1:
-        kept = Kept("likelihood", ("nats", "scores_nats"), LIKELIHOOD, any_order=False)
+        kept = Kept("likelihood", ("nats", "scores_nats"), LIKELIHOOD)
         correlated = add_correlation(
             chain, planes, layers_px, space.directions, config.correlation,
             pitch=pitch if at_once else len(layers_px), kept=kept if at_once else None,
@@ -108,13 +93,12 @@ def add_real_time(
     reach = -(-EDGE_REACH_PX // cell_px)
     between: dict[str, Any] = {"first_px": first, "step_px": step, "reach": reach, **frame, **of_labels}
     quads = -(-planes.width // 4) * planes.height
-    chain.add("surface", [smoothed, labels, ranges], groups=groups_for(quads), uses=LABELLED, **between)
+    chain.add("surface", [smoothed, labels, ranges], quads, **between)
     chain.add(
         "surface_range", [ranges, smoothed, winner, labels, planes.planes, surface],
-        groups=groups_for(planes.width * -(-planes.height // 4)), uses=LABELLED,
-        layer_count=len(labels_px), widest_px=sigma_of_range(labels_px), scatter=SCATTER, bias=BIAS,
-        widest_share=WIDEST_SHARE, seen_reach=SEEN_REACH, mask_plane=(planes.view_count + 1) * planes.pixels,
-        edge_share=EDGE_SHARE, **between,
+        planes.width * -(-planes.height // 4), layer_count=len(labels_px), widest_px=sigma_of_range(labels_px),
+        scatter=SCATTER, bias=BIAS, widest_share=WIDEST_SHARE, seen_reach=SEEN_REACH,
+        mask_plane=(planes.view_count + 1) * planes.pixels, edge_share=EDGE_SHARE, **between,
     )  # fmt: skip
 
     if cell_px > 1:
@@ -124,8 +108,7 @@ def add_real_time(
     moved = float(np.linalg.norm(space.directions, axis=1).mean())  # px of the views a px of disparity
     outputs = [chain.array(name, height * width, np.float32) for name in ("disparity", "sigma", "confidence")]
     chain.add(
-        "enlarge", [surface, whole.full_guide, whole.stats, labels, lacking, *outputs],
-        groups=groups_for(height * width), uses=(*SHARED, "between", "finishing"), guide_start=0,
+        "enlarge", [surface, whole.full_guide, whole.stats, labels, lacking, *outputs], height * width, guide_start=0,
         guide_scale=GUIDE_SCALE + 1, width=width, height=height, half_width=whole.width, jump_px=JUMP_PX,
         labelled=not label_map.is_identity, range_sigma_px=sigma_of_range(config.layers.values_px),
         floor_px=config.floor_px / moved, max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX, **cells,
@@ -144,34 +127,29 @@ def _add_paths(
         chain.array(name, planes.pixels * pitch // 2, np.uint32)
         for name in ("rightward", "leftward", "downward", "upward")
     ]
-    exchange, lanes = "lanes_quad", _LANES
-    if not chain.device.subgroups:  # barriers of a rasteriser in software take three times as long as the paths
-        exchange, lanes = ("lanes_single", 1) if chain.device.info.is_software else ("lanes_shared", _LANES)
-    ahead = _AHEAD_IN_SOFTWARE if chain.device.info.is_software else _AHEAD
+    exchange = "lanes_quad" if chain.device.subgroups else "lanes_shared"
     parts = path_parts(paths.jump_penalty)
     last_parts = 65535 / paths.jump_penalty  # what comes up the columns is not rounded on the CPU
     for direction, cost in enumerate(costs):
         along_row = direction < 2
         lines, rows = (planes.height, []) if along_row else (planes.width, costs[:2])
         chain.add(
-            "four_paths", [likelihood, planes.planes, planes.stats, cost, *rows], groups=(-(-lines // (64 // lanes)),),
-            uses=(*SHARED, exchange, "packed_costs", "own_of_rows" if along_row else "own_of_columns"),
-            direction=direction, row_share=paths.row_share, guide_plane=planes.view_count * planes.pixels,
-            pitch=pitch, jump=paths.jump_penalty, row_parts=parts, cost_parts=parts if direction < 3 else last_parts,
-            edge_range=paths.edge_range, edge_floor=paths.edge_floor,
-            ahead=ahead, vectors=-(-pitch // (4 * lanes)), **size,
+            "four_paths", [likelihood, planes.planes, planes.stats, cost, *rows], groups=(-(-lines // (64 // _LANES)),),
+            uses=(exchange, "packed_costs", "own_of_rows" if along_row else "own_of_columns"), direction=direction,
+            row_share=paths.row_share, guide_plane=planes.view_count * planes.pixels, pitch=pitch,
+            jump=paths.jump_penalty, row_parts=parts, cost_parts=parts if direction < 3 else last_parts,
+            edge_range=paths.edge_range, edge_floor=paths.edge_floor, ahead=_AHEAD, vectors=-(-pitch // (4 * _LANES)),
+            **size,
         )  # fmt: skip
     winner, places = chain.array("winner", 3 * planes.pixels), chain.array("places", 2 * planes.pixels)
     chain.add(
-        "path_winner", [likelihood, *costs, winner, places], groups=groups_for(planes.pixels),
-        uses=(*SHARED, "packed_costs"), row_parts=parts, cost_parts=last_parts,
-        view_count=planes.view_count, temperature=paths.temperature,
-        farthest_of_five=FARTHEST_OF_FIVE, least_unexplained=LEAST_UNEXPLAINED,
-        least_unexplained_of_three=LEAST_UNEXPLAINED_OF_THREE, least_information=LEAST_INFORMATION, **size, **of_layers,
+        "path_winner", [likelihood, *costs, winner, places], planes.pixels, row_parts=parts, cost_parts=last_parts,
+        view_count=planes.view_count, temperature=paths.temperature, farthest_of_five=FARTHEST_OF_FIVE,
+        least_unexplained=LEAST_UNEXPLAINED, least_unexplained_of_three=LEAST_UNEXPLAINED_OF_THREE,
+        least_information=LEAST_INFORMATION, **size, **of_layers,
     )  # fmt: skip
     chain.add(
-        "beside_nearer", [winner, places], groups=groups_for(planes.pixels), uses=SHARED,
-        nearer_reach=NEARER_REACH, weight=BESIDE_NEARER, **size,
+        "beside_nearer", [winner, places], planes.pixels, nearer_reach=NEARER_REACH, weight=BESIDE_NEARER, **size,
     )  # fmt: skip
     return winner, places
 
@@ -188,9 +166,8 @@ def add_links(chain: Chain, planes: Planes, layers: Array, *, even: float, edge_
     """Add the weights of the links between neighbours, (2, h, w); ``layers`` is read only where ``by_layer``."""
     links = chain.array("links", 2 * planes.pixels)
     chain.add(
-        "links", [planes.planes, planes.stats, layers, links], groups=groups_for(planes.pixels), uses=SHARED,
-        width=planes.width, height=planes.height, guide_plane=planes.view_count * planes.pixels,
-        even_link=even, edge_range=edge_range, by_layer=by_layer,
+        "links", [planes.planes, planes.stats, layers, links], planes.pixels, width=planes.width, height=planes.height,
+        guide_plane=planes.view_count * planes.pixels, even_link=even, edge_range=edge_range, by_layer=by_layer,
     )  # fmt: skip
     return links
 
@@ -206,35 +183,17 @@ def add_recursions(
     own: float,
     pitch: int | None = None,
 ) -> Array:
-    """Add the recursions of ``smoothing.wgsl`` along x, then along y; return the sums, in place of the maps.
+    """Add the recursions of `smoothing` along x, then along y; return the sums, in place of the maps.
 
     ``pitch`` is the distance of two pixels' maps where it is not their number.
     """
     pitch = pitch or map_count
     frame: dict[str, Any] = {"width": planes.width, "height": planes.height, "gain": gain, "own": own}
-    if chain.device.info.is_software:
-        _add_recursions_of_lines(chain, planes, maps, links, pitch=pitch, **frame)
-        return maps
     between = chain.arrays.get(f"{maps.name}_x") or chain.array(f"{maps.name}_x", maps.size)
     for along_x, source, target in ((True, maps, between), (False, between, maps)):
         lines = planes.height if along_x else planes.width
         chain.add(
-            "smoothing", [source, links, target], groups=groups_for(lines * map_count, 8), uses=SHARED,
-            along_x=along_x, map_count=map_count, pitch=pitch, **frame,
+            "smoothing", [source, links, target], groups=groups_for(lines * map_count, 8), along_x=along_x,
+            map_count=map_count, pitch=pitch, **frame,
         )  # fmt: skip
     return maps
-
-
-def _add_recursions_of_lines(
-    chain: Chain, planes: Planes, maps: Array, links: Array, *, pitch: int, **frame: Any
-) -> None:
-    together = 4 if pitch % 4 == 0 else 2 if pitch % 2 == 0 else 1
-    sets = {4: "maps_by_four", 2: "maps_by_two", 1: "maps_single"}[together]
-    lines = {True: planes.height, False: planes.width}  # along x, along y
-    blocks = max(lines[along_x] * -(-lines[not along_x] // _AT_ONCE) for along_x in lines)
-    incoming = chain.arrays.get(f"{maps.name}_in") or chain.array(f"{maps.name}_in", blocks * pitch)
-    for along_x, count in lines.items():
-        chain.add(
-            "smoothing_of_lines", [maps, links, incoming], groups=groups_for(count * pitch // together),
-            uses=(*SHARED, sets), along_x=along_x, map_count=pitch, together=together, **frame,
-        )  # fmt: skip

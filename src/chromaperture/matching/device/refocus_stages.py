@@ -12,35 +12,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from chromaperture.matching.device.device import Array, Chain, Device
-from chromaperture.matching.device.view_stages import SHARED
-from chromaperture.matching.device.workgroups import groups_for
 
 LEAST_COVER = 1e-3  # below it a pixel stays darker, in place of a division by nothing
 _NOWHERE = np.float32(3e38)  # px, a blur radius beyond all layers: nothing is hidden there
 
 
 class RefocusLayer(NamedTuple):
-    """Part of a picture that is blurred as one.
+    """Part of a picture that is blurred as one."""
 
-    Attributes
-    ----------
-    nodes : (float, float, float)
-        New blur radii, px: of the layer before, its own, of the layer behind. Weights fall linearly to its neighbours.
-    box : (int, int, int, int)
-        Top, left, bottom and right of what it reaches.
-    scale : int
-        Cells of so many px a side are blurred.
-    kernel : (s, s) float32
-        The pupil in cells, of sum 1, s odd.
-    joined : tuple of int
-        Numbers of the layers that hide this one, and did not hide those before.
-    """
-
+    # New blur radii, px: of the layer before, its own, of the layer behind. Weights fall linearly to its neighbours.
     nodes: tuple[float, float, float]
-    box: tuple[int, int, int, int]
-    scale: int
-    kernel: np.ndarray
-    joined: tuple[int, ...]
+    box: tuple[int, int, int, int]  # top, left, bottom and right of what it reaches
+    scale: int  # cells of so many px a side are blurred
+    kernel: np.ndarray  # (s, s) float32: the pupil in cells, of sum 1, s odd
+    joined: tuple[int, ...]  # numbers of the layers that hide this one, and did not hide those before
 
     @property
     def cells(self) -> tuple[int, int]:
@@ -49,7 +34,7 @@ class RefocusLayer(NamedTuple):
         return -(-(bottom - top) // self.scale), -(-(right - left) // self.scale)
 
     def packed(self) -> np.ndarray:
-        """Return what ``refocus_layer.wgsl`` names; (11,) uint32."""
+        """Return what `refocus_layer` names; (11,) uint32."""
         top, left, bottom, right = self.box
         whole = (top, left, bottom - top, right - left, self.scale, *self.cells, len(self.kernel))
         return np.concatenate([np.array(self.nodes, np.float32).view(np.uint32), np.array(whole, np.uint32)])
@@ -64,14 +49,7 @@ def inputs_of(
 
 
 class RefocusChain:
-    """Arrays on a device for pictures of one size.
-
-    Parameters
-    ----------
-    device : Device
-    size : (int, int)
-        Height and width.
-    """
+    """Arrays on a device for pictures of one size, (H, W)."""
 
     def __init__(self, device: Device, size: tuple[int, int]) -> None:
         self.size = size
@@ -92,16 +70,8 @@ class RefocusChain:
     ) -> np.ndarray:
         """Return the picture (H, W, 3) of a lens with another focus.
 
-        Parameters
-        ----------
-        pictures : two (H, W, 3) float32
-            What is seen, and what is hidden behind it.
-        radii : two (H, W) float32, px
-            New blur of both.
-        hidden : (H, W) bool
-            Where there is anything hidden.
-        layers : sequence of RefocusLayer
-            Near to far.
+        ``pictures``: what is seen, and what is hidden behind it, (H, W, 3) float32; ``radii``: new blur of both, (H, W)
+        float32, px; ``hidden``: (H, W) bool, where there is anything hidden; ``layers``: near to far.
         """
         self._compose(layers)
         inputs = inputs_of(pictures, radii, hidden)
@@ -111,12 +81,9 @@ class RefocusChain:
         """Put the dispatches of these layers in the place of the last ones."""
         chain, arrays = self.chain, self.chain.arrays
         chain.dispatches.clear()
-        uses = (*SHARED, "refocus_layer")
         in_picture: dict[str, Any] = {"width": self.size[1]}
         for name in ("before", "total"):
-            chain.add(
-                "fill_zero", [arrays[name]], groups=groups_for(arrays[name].size), uses=SHARED, size=arrays[name].size
-            )
+            chain.add("fill_zero", [arrays[name]], arrays[name].size, size=arrays[name].size)
         most = max((int(np.prod(layer.cells)) for layer in layers), default=1)
         cells, blurred = (self._array(name, 4 * most) for name in ("cells", "blurred"))
         facts: list[Array] = []
@@ -133,21 +100,19 @@ class RefocusChain:
             cover = self._array(name, self.pixels)
             facts.append(chain.constant(f"layer{number}", layer.packed()))
             kernel = chain.constant(f"kernel{number}", layer.kernel)
-            groups = groups_for(int(np.prod(layer.cells)))
+            count = int(np.prod(layer.cells))
             seen = [arrays[each] for each in ("color", "behind", "radius", "behind_radius")]
-            chain.add("layer_reduced", [*seen, facts[-1], cells], groups=groups, uses=uses, **in_picture)
-            chain.add("layer_blurred", [cells, kernel, facts[-1], blurred], groups=groups, uses=uses)
+            chain.add("layer_reduced", [*seen, facts[-1], cells], count, **in_picture)
+            chain.add("layer_blurred", [cells, kernel, facts[-1], blurred], count)
             self._over_box("layer_added", layer, [blurred, arrays["before"], facts[-1], arrays["total"], cover])
         chain.add(
-            "light_over_cover", [arrays["total"], arrays["refocused"]], groups=groups_for(self.pixels), uses=SHARED,
-            pixels=self.pixels, least_cover=LEAST_COVER,
+            "light_over_cover", [arrays["total"], arrays["refocused"]], self.pixels, pixels=self.pixels,
+            least_cover=LEAST_COVER,
         )  # fmt: skip
 
     def _over_box(self, stage: str, layer: RefocusLayer, arrays: list[Array]) -> None:
         top, left, bottom, right = layer.box
-        constants: dict[str, Any] = {"width": self.size[1]}
-        groups = groups_for((bottom - top) * (right - left))
-        self.chain.add(stage, arrays, groups=groups, uses=(*SHARED, "refocus_layer"), **constants)
+        self.chain.add(stage, arrays, (bottom - top) * (right - left), width=self.size[1])
 
     def _array(self, name: str, size: int) -> Array:
         """Return an array of at least so many numbers."""

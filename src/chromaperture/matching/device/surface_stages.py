@@ -12,17 +12,15 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from chromaperture.matching.device.device import Array, Chain, DeviceError
-from chromaperture.matching.device.workgroups import GROUP, groups_for
+from chromaperture.matching.device.device import GROUP, Array, Chain, DeviceError
 from chromaperture.matching.readable.between_layers import TANGENTS
 from chromaperture.matching.readable.paths import LEAST_UNEXPLAINED, LINES, penalties_of
 from chromaperture.settings.stages import SurfaceConfig
 
 AT_ONCE = 8  # neighbours that an invocation of a filter has: what they read overlaps
-LANES = 16  # invocations of a path; 8, 16, 32: 10, 8, 10 ms for 143 layers of 720x480 on an H200 (docs/decisions.md)
-LANES_IN_SOFTWARE = 4  # the fewer, the less they tell each other; 2 and 1 have too many layers each for its registers
+LANES = 16  # invocations of a path; 8, 16, 32: 10, 8, 10 ms for 143 layers of 720x480 on an H200 (docs/gpu.md)
 # Steps of a path that are read before they are needed, and the most layers that an invocation reads ahead; by hand.
-# On an H200 a step took 5 us without, and 1.3 us with it and 16 lanes (docs/decisions.md).
+# On an H200 a step took 5 us without, and 1.3 us with it and 16 lanes (docs/gpu.md).
 AHEAD, LAYERS_AHEAD = 4, 72
 MOST_LAYERS = 512  # of a path: 32 in the registers of each of 16 invocations
 
@@ -48,8 +46,7 @@ class Grid(NamedTuple):
 def per_pixel(chain: Chain, stage: str, arrays: list[Array], grid: Grid, **constants: Any) -> None:
     """Append a stage with one invocation for every pixel."""
     chain.add(
-        stage, arrays, groups=groups_for(grid.pixels), uses=("indexing",),
-        height=grid.height, width=grid.width, **constants,
+        stage, arrays, grid.pixels, height=grid.height, width=grid.width, **constants,
     )  # fmt: skip
 
 
@@ -62,47 +59,30 @@ def add_paths(
     layers_px: np.ndarray,
     *,
     config: SurfaceConfig,
-    lanes: int | None = None,
+    lanes: int = LANES,
     ahead: int | None = None,
 ) -> None:
-    """Append `stages.aggregate_paths`: a dispatch for every direction.
+    """Append `stages.aggregate_paths`: a dispatch for every direction; raises DeviceError for too many layers.
 
-    Parameters
-    ----------
-    chain : Chain
-    likelihood, guide, total : Array
-        Volume, map, volume; the last is written.
-    grid : Grid
-    layers_px : (count,) float, px
-    config : SurfaceConfig
-    lanes : int
-        Invocations that share a path; 1, 2, 4, ... 64. By default as many as suit the device.
-    ahead : int
-        Steps of a path that are read before they are needed; by default as suits the device.
-
-    Raises
-    ------
-    DeviceError
-        More than `MOST_LAYERS` layers.
+    ``likelihood``, ``guide``, ``total``: volume, map, volume; the last is written. ``lanes`` invocations share a path:
+    1, 2, 4, ... 64; ``ahead`` of its steps are read before they are needed, by default as many as registers hold.
     """
     if grid.layers > MOST_LAYERS:
         raise DeviceError(f"{grid.layers} labels are too many for the GPU, at most {MOST_LAYERS}; use --device cpu")
     penalties = penalties_of(config, layers_px)
-    lanes = lanes or (LANES_IN_SOFTWARE if chain.device.info.is_software else LANES)
     own_layers = math.ceil(grid.layers / lanes)
     if ahead is None:
-        ahead = 1 if chain.device.info.is_software else max(1, min(AHEAD, LAYERS_AHEAD // own_layers))
+        ahead = max(1, min(AHEAD, LAYERS_AHEAD // own_layers))
     # Layers within which a change costs less than a jump: nothing comes from further away.
     reach = math.ceil(penalties.jump / penalties.slope_per_layer / own_layers)
     for i, (dx, dy) in enumerate((sign * x, sign * y) for x, y in LINES[: config.paths // 2] for sign in (1, -1)):
         lines = grid.height if dy == 0 else grid.width if dx == 0 else grid.height + grid.width - 1
         chain.add(
-            "volume_paths", [likelihood, guide, total], groups=(lines / (GROUP // lanes),),
-            height=grid.height, width=grid.width, count=grid.layers, lines=lines,
-            lanes=lanes, own_layers=own_layers, ahead=ahead, reach=min(lanes - 1, reach), dx=float(dx), dy=float(dy),
-            own=float(config.paths - 1), starts_total=i == 0,
-            slope=penalties.slope_per_layer, jump=penalties.jump,
-            edge_range=penalties.edge_range, edge_floor=penalties.edge_floor,
+            "volume_paths", [likelihood, guide, total], groups=(lines / (GROUP // lanes),), height=grid.height,
+            width=grid.width, count=grid.layers, lines=lines, lanes=lanes, own_layers=own_layers, ahead=ahead,
+            reach=min(lanes - 1, reach), dx=float(dx), dy=float(dy), own=float(config.paths - 1), starts_total=i == 0,
+            slope=penalties.slope_per_layer, jump=penalties.jump, edge_range=penalties.edge_range,
+            edge_floor=penalties.edge_floor,
         )  # fmt: skip
 
 
@@ -119,25 +99,15 @@ def add_gaussian(
 ) -> None:
     """Append a filter along both axes: (planes, h, w, parts), mirrored at the borders.
 
-    Parameters
-    ----------
-    chain : Chain
-    values, between : Array
-        What is filtered, in place, and as much room.
-    shape : (int, int)
-    taps : (2 r + 1,) float
-    parts, planes : int
-    source : Array, optional
-        What is filtered instead; ``values`` is only written.
+    ``values`` is filtered in place, ``between`` is as much room; where ``source`` is given, it is filtered instead.
     """
     height, width = shape
-    # A constant array that is indexed by a variable is copied for every invocation: half the time of a software device.
+    # An array: a shader's constant that is indexed by a variable is copied for every invocation.
     filter_taps = chain.constant(f"taps_of_{values.name}", np.concatenate([taps, np.zeros(AT_ONCE - 1)]))
     for before, after, along_x in ((source or values, between, True), (between, values, False)):
         lines, across = (height, width) if along_x else (width, height)
         chain.add(
-            "gaussian_line", [before, filter_taps, after],
-            groups=groups_for(planes * lines * -(-across // AT_ONCE) * parts), uses=("indexing",),
+            "gaussian_line", [before, filter_taps, after], planes * lines * -(-across // AT_ONCE) * parts,
             height=height, width=width, planes=planes, parts=parts, reach=len(taps) // 2, along_x=along_x,
         )  # fmt: skip
 
@@ -166,14 +136,14 @@ def add_path_surface(
     taps = gaussian_taps(config.interpolation_sigma_px)
     for i in range(TANGENTS):
         per_pixel(
-            chain, "layer_tangents", [winner, offset, tangents], grid,
-            is_first=i == 0, least_unexplained=LEAST_UNEXPLAINED,
+            chain, "layer_tangents", [winner, offset, tangents], grid, is_first=i == 0,
+            least_unexplained=LEAST_UNEXPLAINED,
         )  # fmt: skip
         add_gaussian(chain, tangents, averages, (grid.height, grid.width), taps, parts=2)
         per_pixel(chain, "layer_offsets", [winner, tangents, offset, label], grid)
     per_pixel(
-        chain, "volume_posterior", [cost, posterior], grid,
-        count=grid.layers, temperature=config.temperature * config.paths,
+        chain, "volume_posterior", [cost, posterior], grid, count=grid.layers,
+        temperature=config.temperature * config.paths,
     )  # fmt: skip
 
 
@@ -183,7 +153,7 @@ def add_block_sums(chain: Chain, likelihood: Array, grid: Grid, size: int) -> Ar
     blocks = chain.array("blocks", entries)
     if entries > 0:
         chain.add(
-            "block_sums", [likelihood, blocks], groups=groups_for(entries), uses=("indexing",),
-            height=grid.height, width=grid.width, count=grid.layers, size=size,
+            "block_sums", [likelihood, blocks], entries, height=grid.height, width=grid.width, count=grid.layers,
+            size=size,
         )  # fmt: skip
     return blocks

@@ -1,2 +1,0 @@
-// Maps that a walk takes together.
-alias Maps = vec4f;
