@@ -167,7 +167,7 @@ class RecordedChain(PlannedChain):
     def __init__(self, device: Device) -> None:
         super().__init__("quad" if device.subgroups else "shared")
 
-    def start(self, inputs: Mapping[str, np.ndarray], outputs: Sequence[str]) -> None:
+    def start(self, inputs: Mapping[str, np.ndarray], outputs: Sequence[str]) -> Any:
         number = {name: i for i, name in enumerate(self.arrays)}
         called = [(d.groups, [number[a.name] for a in d.arrays]) for d in self.dispatches]
         values = {number[name]: value for name, value in (self.values | dict(inputs)).items()}
