@@ -29,7 +29,7 @@ from timing import fastest_ms
 
 from chromaperture.calibration import read_boards
 from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.calibration_config import CalibrationConfig
+from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
 from chromaperture.depth.field import DepthField

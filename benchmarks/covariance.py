@@ -23,7 +23,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.calibration_config import CalibrationConfig
+from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.paraxial import focused_at

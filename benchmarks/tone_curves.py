@@ -23,9 +23,8 @@ from PIL import Image
 
 from chromaperture.calibration import calibrate_session as steps
 from chromaperture.calibration import fit_response
-from chromaperture.calibration.measurement_cache import Store
+from chromaperture.calibration.options import Store, silent
 from chromaperture.calibration.place_boards import measure_pinhole
-from chromaperture.calibration.progress import silent
 from chromaperture.calibration.session import read_session
 from chromaperture.camera.camera import load_camera
 from chromaperture.color.srgb import linear_to_srgb

@@ -18,7 +18,7 @@ from chromaperture.app.session_folder import MOST_SHOTS, Holding, SessionFolder,
 from chromaperture.app.shot_checks import Reading
 from chromaperture.app.workbench import Workbench
 from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.calibration_config import CalibrationConfig
+from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import sample_camera
 from chromaperture.system.errors import InputError

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.calibration_config import CalibrationConfig
+from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.calibration.session import read_session
 from chromaperture.camera.method import default_config
 from chromaperture.model.scale import at_scale, working_scale

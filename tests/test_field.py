@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from numpy.polynomial import chebyshev
 
-from chromaperture.calibration.board_distances import BoardDistances
-from chromaperture.calibration.choose_curve import ranked_curves
-from chromaperture.calibration.fit_fields import fit_depth_field
-from chromaperture.calibration.fit_local_fields import with_local
+from chromaperture.calibration.fit_fields import fit_depth_field, ranked_curves, with_local
+from chromaperture.calibration.place_boards import BoardDistances
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.field import DepthField, degree_of, polynomials
 from chromaperture.depth.nonlinearity import Nonlinearity

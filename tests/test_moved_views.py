@@ -9,9 +9,8 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import map_coordinates
 
-from chromaperture.calibration.lens_moves import beyond_disparity, lens_moves
-from chromaperture.calibration.measurement_cache import Store
-from chromaperture.calibration.progress import silent
+from chromaperture.calibration.calibrate_blur import beyond_disparity, lens_moves
+from chromaperture.calibration.options import Store, silent
 from chromaperture.calibration.read_boards import BoardMeasurement, measure_again
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.matching.device.device import open_device

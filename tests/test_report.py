@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 import typer
 
-from chromaperture.calibration.board_distances import BoardDistances
 from chromaperture.calibration.calibrate_blur import LayerEvidence
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.calibration.chessboard import Intrinsics
 from chromaperture.calibration.curves import Evidence
-from chromaperture.calibration.fit_curve import DepthFit
+from chromaperture.calibration.fit_fields import DepthFit
+from chromaperture.calibration.place_boards import BoardDistances
 from chromaperture.calibration.read_boards import BoardMeasurement
 from chromaperture.calibration.session import Session
 from chromaperture.cli.main import app, main

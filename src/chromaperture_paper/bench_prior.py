@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from chromaperture.calibration.board_distances import fit_distances
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.calibration.curves import Evidence, fit_curve
-from chromaperture.calibration.measurement_cache import Store
+from chromaperture.calibration.options import Store
+from chromaperture.calibration.place_boards import fit_distances
 from chromaperture.calibration.read_boards import BoardMeasurement, grid
 from chromaperture.calibration.session import Session, read_session
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth

@@ -14,10 +14,9 @@ from chromaperture.app.session_folder import Kind, SessionFolder
 from chromaperture.app.sheet_checks import check_sheet
 from chromaperture.app.shot_checks import CheckedShot, Reading, check_board, check_tilt, read_for_check
 from chromaperture.app.tone_checks import Exposed, check_exposed, check_tone
-from chromaperture.calibration.assemble_camera import nominal_depth_model
-from chromaperture.calibration.session import Session
+from chromaperture.calibration.fit_response import disparity_error
+from chromaperture.calibration.session import Session, nominal_depth_model
 from chromaperture.calibration.session_plan import PlannedSession
-from chromaperture.calibration.tone_curve import disparity_error
 from chromaperture.capture.exif import read_exposure
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import DepthModel

@@ -12,11 +12,11 @@ import numpy as np
 
 from chromaperture.app.edge_blur import edge_blur, pupil_spread
 from chromaperture.app.notes import heard
-from chromaperture.calibration.assemble_camera import assemble_camera, nominal_depth_model
-from chromaperture.calibration.calibration_config import DEFAULT
+from chromaperture.calibration.assemble_camera import assemble_camera
 from chromaperture.calibration.chessboard import board_points, find_corners
+from chromaperture.calibration.options import DEFAULT
 from chromaperture.calibration.read_boards import read_board
-from chromaperture.calibration.session import Session
+from chromaperture.calibration.session import Session, nominal_depth_model
 from chromaperture.calibration.white_sheets import WhiteSheets
 from chromaperture.color.film import completed_film
 from chromaperture.color.image import SATURATION

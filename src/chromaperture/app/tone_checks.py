@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from chromaperture.calibration.tone_curve import LEAST_RATIO, ToneCurve, disparity_error, measure_tone
+from chromaperture.calibration.fit_response import LEAST_RATIO, ToneCurve, disparity_error, measure_tone
 from chromaperture.color.image import SATURATION
 from chromaperture.evaluation.health import Check
 from chromaperture.system.errors import InputError

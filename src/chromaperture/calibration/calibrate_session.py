@@ -10,31 +10,32 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.calibration.assemble_camera import assemble_camera, curve_without_blur, nominal_depth_model
-from chromaperture.calibration.board_distances import BoardDistances
-from chromaperture.calibration.calibrate_blur import BlurredCamera, LayerEvidence, calibrate_blur, fit_layers
-from chromaperture.calibration.calibration_config import DEFAULT, CalibrationConfig
+from chromaperture.calibration.assemble_camera import assemble_camera, origin
+from chromaperture.calibration.calibrate_blur import (
+    BlurredCamera,
+    LayerEvidence,
+    calibrate_blur,
+    fit_layers,
+    lens_moves,
+)
 from chromaperture.calibration.chessboard import Intrinsics
 from chromaperture.calibration.curves import (
     Evidence,
     FittedCurve,
+    curve_without_blur,
     fit_curve,
     fit_curves,
     weaknesses,
     with_accurate,
     without_outliers,
 )
-from chromaperture.calibration.fit_curve import DepthFit
-from chromaperture.calibration.fit_response import with_response
-from chromaperture.calibration.lens_moves import lens_moves
-from chromaperture.calibration.measurement_cache import Store
-from chromaperture.calibration.place_boards import Pinhole, PlacedBoards, measure_pinhole, place_boards
-from chromaperture.calibration.progress import Progress, silent
-from chromaperture.calibration.provenance import origin
+from chromaperture.calibration.fit_fields import DepthFit
+from chromaperture.calibration.fit_response import disparity_error, with_response
+from chromaperture.calibration.options import DEFAULT, CalibrationConfig, Progress, Store, silent
+from chromaperture.calibration.place_boards import BoardDistances, Pinhole, PlacedBoards, measure_pinhole, place_boards
 from chromaperture.calibration.read_boards import BoardMeasurement, grid, measure_again, measure_boards, pixel_sigma
 from chromaperture.calibration.rendered_boards import rendered_nonlinearity
-from chromaperture.calibration.session import Session, read_session
-from chromaperture.calibration.tone_curve import disparity_error
+from chromaperture.calibration.session import Session, nominal_depth_model, read_session
 from chromaperture.calibration.white_sheets import WhiteSheets, measure_white_sheets
 from chromaperture.capture.picture_header import same_frame
 from chromaperture.depth.field import DepthField, degree_of

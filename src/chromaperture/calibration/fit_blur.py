@@ -16,8 +16,7 @@ import cv2
 import numpy as np
 import scipy.fft
 
-from chromaperture.calibration.calibration_config import DEFAULT
-from chromaperture.calibration.progress import Progress, reported, silent
+from chromaperture.calibration.options import DEFAULT, Progress, reported, silent
 from chromaperture.matching.readable.tiles import without_shading
 from chromaperture.optics.lens_blur import BlurModel, LensBlur
 from chromaperture.system.errors import InputError

@@ -9,9 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from chromaperture.calibration.measurement_cache import Store
+from chromaperture.calibration.options import Progress, Store, reported
 from chromaperture.calibration.place_boards import Pinhole, PlacedBoards
-from chromaperture.calibration.progress import Progress, reported
 from chromaperture.calibration.session import Session
 from chromaperture.camera.method import sensor_noise
 from chromaperture.color.image import SATURATION

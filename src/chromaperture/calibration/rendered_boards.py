@@ -12,13 +12,10 @@ from dataclasses import replace
 import numpy as np
 import scipy.fft
 
-from chromaperture.calibration.board_distances import BoardDistances
-from chromaperture.calibration.calibration_config import DEFAULT, CalibrationConfig
-from chromaperture.calibration.choose_curve import MANY_BOARDS, ranked_curves
 from chromaperture.calibration.curves import Evidence, thin
-from chromaperture.calibration.fit_fields import fit_depth_field
-from chromaperture.calibration.measurement_cache import Store
-from chromaperture.calibration.progress import Progress, reported, silent
+from chromaperture.calibration.fit_fields import MANY_BOARDS, fit_depth_field, ranked_curves
+from chromaperture.calibration.options import DEFAULT, CalibrationConfig, Progress, Store, reported, silent
+from chromaperture.calibration.place_boards import BoardDistances
 from chromaperture.calibration.read_boards import MEASURED, grid, read_board
 from chromaperture.calibration.session import Session
 from chromaperture.camera.method import sensor_noise

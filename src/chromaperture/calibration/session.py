@@ -18,12 +18,14 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from chromaperture.calibration.board_distances import check_units
 from chromaperture.capture.files import format_of, read_light
 from chromaperture.capture.picture_format import PictureFormat
 from chromaperture.capture.shots import counted, photographs
 from chromaperture.color.encoding import Pattern, Siting, StatedFacts
 from chromaperture.color.image import is_saturated
+from chromaperture.color.unmixing import view_reach
+from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.paper_form import PaperParameters, paper_to_model
 from chromaperture.matching.working_scale import reduced
 from chromaperture.model.camera_parts import CameraSensor
 from chromaperture.model.scale import LEAST_SIDE_PX, SCALES, reduced_size, resized_sensor
@@ -286,3 +288,47 @@ def _distances(folder: Path) -> dict[Path, float]:
     if missing:
         raise InputError(f"{table} names photographs that are not there: {', '.join(missing[:5])}")
     return boards
+
+
+_UNITS = {"cm": 10.0, "m": 1000.0, "inches": 25.4, "feet": 304.8}  # mm
+
+
+_OTHER_UNIT = 5.0  # ratio of expected to given distance from which the unit is wrong: half that of cm
+
+
+def check_units(ruler_mm: np.ndarray, expected_mm: np.ndarray | float, *, where: str) -> None:
+    """Raise InputError that names the unit, where distances are not in mm.
+
+    Parameters
+    ----------
+    ruler_mm : (N,) float
+    expected_mm : (N,) float or float
+        Rough distances from poses or from the focus; NaN is left out.
+    where : str
+        File of the distances.
+    """
+    ratios = np.asarray(expected_mm, float) / np.asarray(ruler_mm, float)
+    ratios = ratios[np.isfinite(ratios)]
+    ratio = float(np.median(ratios)) if ratios.size else 1.0
+    if ratio < _OTHER_UNIT:
+        return
+    unit = min(_UNITS, key=lambda name: abs(np.log(_UNITS[name] / ratio)))
+    raise InputError(
+        f"{where}: the distances look like {unit}, they are {ratio:.0f} times too small for mm; write them in mm"
+    )
+
+
+def nominal_depth_model(session: Session) -> DepthModel:
+    """Return the thin-lens curve of the engraved focal length and f-number, for search ranges and start values."""
+    f = session.nominal_focal_length_mm
+    z_focus = session.focused_at_about_mm - f  # from the pupil, about
+    if z_focus <= f:
+        raise InputError(f"focused_at_about_mm = {session.focused_at_about_mm:g} lies inside the focal length")
+    image_distance = f / (1 - f / z_focus)  # f for a lens focused at infinity
+    parameters = PaperParameters(
+        in_focus_mm=z_focus + image_distance,
+        baseline_mm=view_reach(design_named(session.design)) * f / session.nominal_f_number,  # b = 2 r_c
+        sensor_to_pupil_mm=image_distance,
+        focal_length_mm=f,
+    )
+    return paper_to_model(parameters, pixel_pitch_mm=session.sensor.pixel_pitch_mm)
