@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -20,7 +20,7 @@ from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.calibration.session import Session, nominal_depth_model
 from chromaperture.calibration.white_sheets import WhiteSheets
 from chromaperture.capture.exif import read_model
-from chromaperture.capture.picture_format import PictureFormat, described
+from chromaperture.capture.picture_format import described
 from chromaperture.capture.shots import is_photograph
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.paper_form import model_to_paper
@@ -40,7 +40,6 @@ def assemble_camera(
     *,
     blur: BlurModel | None = None,
     channel_moves_px: np.ndarray | None = None,
-    provenance: Mapping[str, Any] | None = None,
 ) -> Calibration:
     """Put the results of the steps together; without intrinsics the pinhole is the nominal one."""
     sensor = sheets.sensor
@@ -66,7 +65,7 @@ def assemble_camera(
         depth=depth,
         near_mm=min(rulers) * config.range_margin[0],
         far_mm=max(rulers) * config.range_margin[1],
-        provenance=provenance or {},
+        provenance={},
         blur=blur,
         channel_moves_px=channel_moves_px,
         board=Board(session.inner_corners, session.square_mm),
@@ -74,50 +73,29 @@ def assemble_camera(
 
 
 def origin(
-    folder: Path,
-    files: Iterable[Path],
+    session: Session,
+    sheets: WhiteSheets,
     config: CalibrationConfig,
     *,
     command: str | None,
     lens_from: Calibration | None,
-    form: PictureFormat | None = None,
-    developed: bool | None = None,
 ) -> dict[str, Any]:
-    """Record what a calibration was made from.
+    """Record what a calibration was made from: the command line, if any, versions, options, and SHA-256 of all files.
 
-    Parameters
-    ----------
-    folder : Path
-        Of the session; the files' names are relative to it.
-    files : iterable of Path
-        Everything that was read.
-    config : CalibrationConfig
-    command : str, optional
-        Command line, if there was one.
-    lens_from : Calibration, optional
-        The camera that the lens was taken from.
-    form : PictureFormat, optional
-        Of the photographs.
-    developed : bool, optional
-        Whether a colour matrix was applied to the photographs.
-
-    Returns
-    -------
-    dict of str to plain values
-        ``command`` is absent without one, ``camera_model`` where no photograph names it, ``developed`` where nothing
-        tells; ``files`` are SHA-256 hashes by name.
+    ``camera_model`` is absent where no photograph names it, ``developed`` where nothing tells.
     """
-    made: dict[str, Any] = described(form) | ({} if command is None else {"command": command})
+    made: dict[str, Any] = described(session.form) | ({} if command is None else {"command": command})
     lens = None
     if lens_from is not None:
         lens = {"design": lens_from.design, "date": lens_from.provenance.get("date"),
                 "focal_length_mm": lens_from.lens.focal_length_mm}  # fmt: skip
-    files = list(files)
+    texts = (session.folder / name for name in ("session.toml", "distances.csv"))
+    files = (*texts, *session.boards, *session.tilts, *sheets.files)
     model = next(filter(None, map(read_model, filter(is_photograph, files))), None)
     if model is not None:
         made["camera_model"] = model
-    if developed is not None:
-        made["developed"] = developed
+    if sheets.developed is not None:
+        made["developed"] = sheets.developed
     return made | {
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "versions": {
@@ -129,7 +107,7 @@ def origin(
         "options": asdict(config),
         "lens_from": lens,
         "files": {
-            Path(os.path.relpath(path, folder)).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+            Path(os.path.relpath(path, session.folder)).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
             for path in files
         },
     }

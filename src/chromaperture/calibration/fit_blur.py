@@ -240,7 +240,9 @@ def _linearised(blur: LensBlur, moved: Mapping[str, tuple[LensBlur, float]], til
                 continue
             bent = rays._replace(light=light)
         else:
-            points = displacements(other.model, other.pupil.points, position, 0.0, (0, 1, 2))
+            colors = (0,) if "red" in name else (2,) if "blue" in name else (0, 1, 2)
+            points = rays.at_infinity_px.copy()
+            points[list(colors)] = displacements(other.model, other.pupil.points, position, 0.0, colors)
             bent = rays._replace(at_infinity_px=points)
         there = other.transfer_of(bent, tile.inverse_mm, tile.size)
         changed = [not np.array_equal(one, two) for one, two in zip(there, transfer, strict=True)]

@@ -11,7 +11,7 @@ import math
 import os
 import warnings
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -31,6 +31,7 @@ from chromaperture.model.camera_parts import CameraSensor
 from chromaperture.model.scale import LEAST_SIDE_PX, SCALES, reduced_size, resized_sensor
 from chromaperture.optics.aperture import DESIGNS, design_named
 from chromaperture.system.errors import CaptureWarning, InputError
+from chromaperture.system.memory import available_bytes
 from chromaperture.system.validation import (
     LARGEST_SIDE,
     Name,
@@ -46,6 +47,7 @@ from chromaperture.system.validation import (
 # Px of a reduced photograph by which the widest blur of the boards displaces the pupil's edge, at least: bench50's
 # boards, which are not reduced, have 11.6. Their lens on 24 megapixels gets 1/8, as from `working_scale`.
 _WIDEST_PX = 10.0
+_KEPT_BYTES = 300e6  # of decoded boards: 66 of 24 megapixels at their working scale; chosen by hand
 _MOST_CSV_BYTES = 1_000_000  # of distances.csv: 20,000 boards
 
 # Name of the white sheet through a whole pupil of one filter; film without a name has none.
@@ -76,6 +78,7 @@ class Session:
     full_size_px: tuple[int, int] | None = None  # width and height of the photographs; None: those of ``sensor``
     tone_error: float = 0.0  # of the exponent by which decoded values grow with light, see `tone_curve`
     form: PictureFormat | None = None  # of the first board's file
+    _kept: dict[Path, np.ndarray] = field(default_factory=dict, init=False, repr=False, compare=False)  # see `read`
 
     @property
     def focuses_at_infinity(self) -> bool:
@@ -88,7 +91,19 @@ class Session:
         return self.full_size_px or (self.sensor.width_px, self.sensor.height_px)
 
     def read(self, path: Path) -> np.ndarray:
-        """Read one photograph of the session as linear light, at the size of `sensor`; (H, W, 3) float32."""
+        """Read one photograph of the session as linear light, at the size of `sensor`; (H, W, 3) float32.
+
+        Boards, which every step reads again, are kept as far as `_KEPT_BYTES` go; they are not to be written to.
+        """
+        if path in self._kept:
+            return self._kept[path]
+        image = self._decoded(path)
+        kept = sum(other.nbytes for other in self._kept.values())
+        if path in self.boards and kept + image.nbytes <= min(_KEPT_BYTES, available_bytes() / 4):
+            self._kept[path] = image
+        return image
+
+    def _decoded(self, path: Path) -> np.ndarray:
         expected = self.photograph_size_px
         width, height = format_of(path, self.sensor.encoding.stated).read_size_px
         if (width, height) != expected:

@@ -156,8 +156,10 @@ def displacements(
         defocus = m.infinity_px - m.scale_px_mm * inverse_mm + axial + (curvature + m.curvature4_px * f2) * f2
         to_pupil = defocus + (spherical + fifth) * x2
         to_pupil += odd
-        np.multiply(to_pupil[:, None], points, out=moved)
-        moved += (to_position + (lateral + lateral3 * f2))[:, None] * position
+        to_side = to_position + (lateral + lateral3 * f2)
+        for k in (0, 1):
+            np.multiply(to_pupil, points[:, k], out=moved[:, k])
+            moved[:, k] += to_side * position[k]
     return out
 
 
