@@ -10,29 +10,30 @@ from typing import Any
 import cv2
 import numpy as np
 
-from chromaperture.app.edge_blur import edge_blur, pupil_spread
-from chromaperture.app.notes import heard
 from chromaperture.calibration.assemble_camera import assemble_camera
 from chromaperture.calibration.chessboard import board_points, find_corners
+from chromaperture.calibration.fit_response import LEAST_RATIO, ToneCurve, disparity_error, measure_tone
 from chromaperture.calibration.options import DEFAULT
 from chromaperture.calibration.read_boards import read_board
-from chromaperture.calibration.session import Session, nominal_depth_model
+from chromaperture.calibration.session import SHEETS, Session, nominal_depth_model
 from chromaperture.calibration.white_sheets import WhiteSheets
 from chromaperture.color.film import completed_film
 from chromaperture.color.image import SATURATION
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
-from chromaperture.evaluation.health import Check
+from chromaperture.evaluation.checks import NOTHING_SEEN, Check, Exposure, is_healthy, is_uneven, urgent_first
+from chromaperture.evaluation.edge_blur import edge_blur, pupil_spread
+from chromaperture.evaluation.tint import measure_tint
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Film
 from chromaperture.optics.aperture import channel_transmission, design_named, made_of
 from chromaperture.optics.pinhole import centered_pinhole
 from chromaperture.settings.methods import QUALITIES
-from chromaperture.system.errors import ChromapertureError
+from chromaperture.system.errors import ChromapertureError, InputError
+from chromaperture.system.robust import MAD_TO_SIGMA
 
 # Limits, chosen by hand from the causes named.
-_SATURATED, _DARK = 0.02, 0.05  # share of the pixels; 99th percentile, of the white level: as in `evaluation/health.py`
 # Fitted spread over that of the pupil's light, and what the sharpest edge has: simulated boards in and out of focus.
 _SPREAD, _SHARPEST_PX = 1.12, 0.55
 _TOO_BLURRED, _BLUR_ALLOWANCE_PX = 1.3, 0.6  # a real lens is softer than the simulated one
@@ -70,7 +71,7 @@ class Reading:
         Of a sheet at two exposures: ms as typed, or time, gain and f-number together as the file states them.
     is_exposure_typed : bool
     tone : tuple of (level, exponent)
-        What it told together with another one, see `calibration.tone_curve.ToneCurve`; empty for the first one.
+        What it told together with another one, see `ToneCurve`; empty for the first one.
     """
 
     ruler_mm: float | None = None
@@ -108,7 +109,7 @@ class CheckedShot:
     @property
     def is_usable(self) -> bool:
         """Whether it should be kept."""
-        return all(check.verdict != "warn" for check in self.checks)
+        return is_healthy(self.checks)
 
 
 def check_board(
@@ -150,7 +151,7 @@ def check_board(
         *_film(reading, model, known=curve is not None, session=session),
         _inside(corners, session),
     ]
-    return CheckedShot(reading, sorted(checks, key=lambda check: check.verdict != "warn"))
+    return CheckedShot(reading, urgent_first(checks))
 
 
 def check_tilt(image: np.ndarray, session: Session, *, notes: Sequence[str] = ()) -> CheckedShot:
@@ -170,7 +171,7 @@ def check_tilt(image: np.ndarray, session: Session, *, notes: Sequence[str] = ()
     else:
         checks.append(Check("tilt", "ok", f"the board leans by {lean:.0f} degrees", "", figures))
     checks += [*_blur(reading, session, nominal_depth_model(session)), _inside(corners, session)]
-    return CheckedShot(reading, sorted(checks, key=lambda check: check.verdict != "warn"))
+    return CheckedShot(reading, urgent_first(checks))
 
 
 # ---- what is measured
@@ -202,8 +203,7 @@ def _disparity(image: np.ndarray, session: Session, range_mm: tuple[float, float
     rows, columns = (slice(n // 3, n - n // 3) for n in grid.shape)
     residual = np.abs(grid[rows, columns] - middle)
     known = residual[np.isfinite(residual)]
-    # of a normal distribution: 1.4826 times the median of the absolute deviations
-    pixel = float(1.4826 * np.median(known)) if known.size else float("nan")
+    pixel = float(MAD_TO_SIGMA * np.median(known)) if known.size else float("nan")
     return {"disparity_px": middle, "disparity_sigma_px": sigma, "pixel_sigma_px": pixel}
 
 
@@ -230,18 +230,16 @@ def _no_board(session: Session) -> Check:
 
 
 def _exposure(image: np.ndarray) -> Check:
-    finite = image[np.isfinite(image).all(axis=2)]
-    if not finite.size:
-        return Check("exposure", "warn", "the picture holds no finite value", "photograph it again")
-    saturated, bright = float((finite.max(axis=1) >= SATURATION).mean()), float(np.percentile(finite, 99))
-    figures = {"saturated_share": saturated, "percentile_99": bright}
-    if saturated > _SATURATED:
-        finding = f"{saturated:.0%} of the picture is too bright to be measured"
-        return Check("exposure", "warn", finding, "expose less, and keep it so for all photographs", figures)
-    if bright < _DARK:
-        finding = f"the brightest parts reach {bright:.0%} of full scale"
-        return Check("exposure", "warn", finding, "more light, or a longer exposure", figures)
-    return Check("exposure", "ok", f"bright parts at {bright:.0%} of full scale", "", figures)
+    seen = Exposure.of(image)
+    if seen is None:
+        return NOTHING_SEEN
+    if seen.is_saturated:
+        finding = f"{seen.saturated:.0%} of the picture is too bright to be measured"
+        return Check("exposure", "warn", finding, "expose less, and keep it so for all photographs", seen.figures)
+    if seen.is_dark:
+        finding = f"the brightest parts reach {seen.bright:.0%} of full scale"
+        return Check("exposure", "warn", finding, "more light, or a longer exposure", seen.figures)
+    return Check("exposure", "ok", f"bright parts at {seen.bright:.0%} of full scale", "", seen.figures)
 
 
 def _file(notes: Sequence[str]) -> list[Check]:
@@ -340,8 +338,187 @@ def _disparity_at(model: DepthModel, at_mm: float) -> float:
     return float(model.infinity_disparity_px) - float(model.scale_px_mm) / z
 
 
-def read_for_check(session: Session, path: Path) -> tuple[np.ndarray, list[str]]:
-    """Read a photograph of a session; returns it and what reading it warned of; raises InputError."""
-    with heard() as notes:
-        image = session.read(path)
-    return image, notes()
+# Limits, chosen by hand from the causes named.
+_SHEET_SATURATED, _SHEET_DARK = 0.001, 0.10  # share of the pixels of the middle; its mean, of full scale
+_TEXTURE = 0.10  # scatter of the middle over its mean: a sheet in focus shows its dirt, a scene much more
+_NO_FILM, _WRONG_FILM = 0.10, 0.45  # ratio of channels against clear, from 1 and from usual film, natural logarithm
+
+
+def check_sheet(image: np.ndarray, name: str, *, design: str, clear: np.ndarray | None = None) -> list[Check]:
+    """Check a photograph of a white sheet, the most urgent finding first.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float32, linear
+    name : str
+        Which sheet: ``open``, the design's name, or one of `SHEETS`.
+    design : str
+    clear : (3,) float, optional
+        Mean colour of the sheet through the open pupil.
+    """
+    height, width = image.shape[:2]
+    middle = image[height * 2 // 5 : height * 3 // 5, width * 2 // 5 : width * 3 // 5].reshape(-1, 3).astype(float)
+    mean, brightest = middle.mean(axis=0), middle.max(axis=1)
+    checks = []
+    saturated = float((brightest >= SATURATION).mean())
+    if saturated > _SHEET_SATURATED:
+        checks.append(Check("exposure", "warn", "the sheet is too bright", "expose less, the same for all sheets"))
+    elif mean.max() < _SHEET_DARK:
+        finding = f"the sheet reaches {mean.max():.0%} of full scale"
+        checks.append(Check("exposure", "warn", finding, "more light, or a longer exposure, the same for all sheets"))
+    else:
+        checks.append(Check("exposure", "ok", f"the sheet is at {mean.max():.0%} of full scale"))
+    bright = int(mean.argmax())
+    scatter = float(_blocks(image[..., bright]).std() / max(mean[bright], 1e-6))
+    if scatter > _TEXTURE:
+        checks.append(Check("sheet", "warn", f"the picture is uneven by {scatter:.0%}",
+                            "fill the whole frame with plain paper in even light, out of focus"))  # fmt: skip
+    if clear is not None and name != "open":
+        checks.append(_sheet_film(mean / np.maximum(clear, 1e-6), name, design))
+    if name == design:
+        checks += _place(image)
+    return urgent_first(checks)
+
+
+def _blocks(plane: np.ndarray) -> np.ndarray:
+    """Return the means of 8 x 8 blocks of the middle half of a picture, where vignetting is small."""
+    height, width = plane.shape
+    part = plane[height // 4 : height * 3 // 4, width // 4 : width * 3 // 4]
+    rows, columns = (np.linspace(0, n, 9).astype(int)[:-1] for n in part.shape)
+    sums = np.add.reduceat(np.add.reduceat(part.astype(float), rows, axis=0), columns, axis=1)
+    counts = np.outer(np.diff([*rows, part.shape[0]]), np.diff([*columns, part.shape[1]]))
+    return np.asarray(sums / counts)
+
+
+def _sheet_film(through: np.ndarray, name: str, design: str) -> Check:
+    """Compare the light that passed with usual film and with none."""
+    aperture = made_of(design_named(design), "real")
+    if name == design:
+        expected, what = channel_transmission(aperture), "the aperture"
+    else:
+        color = next(c for c, sheet in SHEETS.items() if sheet == name)
+        expected, what = np.asarray(aperture.filter_named(color).transmission, float), f"{color} film"
+    ours, usual = (_ratios(v) for v in (through, expected))
+    share = ", ".join(f"{v:.0%}" for v in through)
+    finding = f"red, green and blue pass {what} by {share}"
+    figures = {f"passed_{c}": float(v) for c, v in zip("rgb", through, strict=True)}
+    tinted = np.abs(usual).max() > 2 * _NO_FILM
+    if tinted and np.abs(ours).max() < _NO_FILM:
+        return Check(
+            "film", "warn", f"{finding}: as without film", "put the film in; or this is the open pupil", figures
+        )
+    strong = np.abs(usual) > np.log(2)  # where the film must block, any film's own value may differ much
+    wrong = np.sign(ours[strong]) != np.sign(usual[strong])
+    if wrong.any() or np.abs(ours - usual)[~strong].max(initial=0) > _WRONG_FILM:
+        return Check("film", "warn", finding, f"is this {what}? Usual film passes "
+                     + ", ".join(f"{v:.0%}" for v in expected), figures)  # fmt: skip
+    return Check("film", "ok", finding, "", figures)
+
+
+def _ratios(light: np.ndarray) -> np.ndarray:
+    """Return the logarithms of the channels over their geometric mean."""
+    logs = np.log(np.maximum(light, 1e-3))
+    return np.asarray(logs - logs.mean())
+
+
+def _place(image: np.ndarray) -> list[Check]:
+    """Find a ramp of tint over the frame, which film off the stop makes."""
+    tint = measure_tint(image)
+    if tint is None:
+        return []
+    figures = {"ramp_share": tint.ramp}
+    if is_uneven(tint):
+        return [Check("place of the film", "cannot tell", f"colour changes by {tint.ramp:.0%} over the frame",
+                      "the film is away from the iris, or the light is uneven: turn the sheet by 180 degrees to see "
+                      "which", figures)]  # fmt: skip
+    return [Check("place of the film", "ok", f"colour changes by {tint.ramp:.0%} over the frame", "", figures)]
+
+
+# Limits, chosen by hand from the causes named.
+# Of the exponent. Exposure times are stated to some 5 %, which is 0.07 of it at a factor of two.
+_AS_ASSUMED, _IMPOSSIBLE = 0.03, 0.5
+# Of single blocks' exponents about that of their level: noise of 8 bits makes 0.02, another scene more than 0.3.
+_SCATTER = 0.15
+_SAME_LIGHT = 0.15  # exponent below which the pictures are equally bright, whatever exposures are stated
+
+
+@dataclass(frozen=True)
+class Exposed:
+    """One of the photographs: linear as decoded, and its exposure in any unit that both have."""
+
+    image: np.ndarray
+    exposure: float
+
+
+def check_exposed(image: np.ndarray) -> Check:
+    """Check that a photograph of a sheet is neither dark nor saturated."""
+    seen = Exposure.of(image.max(axis=2, keepdims=True))
+    if seen is None:
+        return NOTHING_SEEN
+    if seen.is_saturated:
+        advice = "expose less: what is saturated shows nothing of the curve"
+        return Check("exposure", "warn", f"{seen.saturated:.0%} of the picture is too bright to be measured", advice)
+    if seen.is_dark:
+        return Check("exposure", "warn", f"the brightest parts reach {seen.bright:.0%} of full scale", "expose longer")
+    return Check("exposure", "ok", f"bright parts at {seen.bright:.0%} of full scale")
+
+
+def check_tone(
+    first: Exposed, second: Exposed, *, design: str, is_encoded: bool = True
+) -> tuple[list[Check], ToneCurve | None]:
+    """Compare two exposures of one scene.
+
+    Parameters
+    ----------
+    first, second : Exposed
+    design : str
+        Of the film, for what the finding costs.
+    is_encoded : bool
+        The files are of 8 bits and were decoded as sRGB.
+
+    Returns
+    -------
+    checks : list of Check
+    curve : ToneCurve or None
+        None where the pictures tell nothing.
+    """
+    ratio = max(first.exposure, second.exposure) / min(first.exposure, second.exposure)
+    if ratio < LEAST_RATIO:
+        finding = f"both photographs have the same exposure, to a factor of {ratio:.2f}"
+        return [
+            Check("tone curve", "warn", finding, "take one at a half or a quarter of the other's exposure time")
+        ], None
+    shorter, longer = (first, second) if first.exposure < second.exposure else (second, first)
+    try:
+        curve = measure_tone(shorter.image, longer.image, ratio)
+    except InputError as reason:
+        return [Check("tone curve", "warn", str(reason), "photograph the sheet again")], None
+    middle, error = float(np.median(curve.exponent)), curve.error
+    figures = {"exposure_ratio": ratio, "exponent": middle, "exponent_error": error, "scatter": curve.scatter,
+               "lowest_level": float(curve.level.min()), "highest_level": float(curve.level.max())}  # fmt: skip
+    brighter = ratio**middle
+    if curve.scatter > _SCATTER:
+        finding = f"parts of the picture grew by factors {curve.scatter * np.log(ratio):.0%} apart"
+        advice = "the scene, the light or the camera's place changed: both photographs must show the same, and no more"
+        return [Check("same scene", "warn", finding, advice, figures)], None
+    if middle < _SAME_LIGHT:
+        finding = f"the exposures differ by a factor of {ratio:.2g}, the pictures by {brighter:.2f}"
+        advice = "the camera evens them out: switch automatic exposure off, or correct the exposure times"
+        return [Check("tone curve", "warn", finding, advice, figures)], None
+    if error > _IMPOSSIBLE:
+        finding = f"the exposures differ by a factor of {ratio:.2g}, the pictures by {brighter:.2g}"
+        return [
+            Check("tone curve", "warn", finding, "correct the exposure times: no curve is that wrong", figures)
+        ], None
+    span = f"from {curve.level.min():.0%} to {curve.level.max():.0%} of full scale"
+    cost = disparity_error(design, error)
+    if error <= _AS_ASSUMED:
+        finding = f"light is proportional to exposure {span}, to {error:.3f} of the exponent"
+        return [Check("tone curve", "ok", finding, "", figures)], curve
+    assumed = "sRGB, as 8-bit files are decoded" if is_encoded else "linear, as deep files are taken"
+    finding = (
+        f"decoded light grows with the power {curve.exponent.min():.2f} to {curve.exponent.max():.2f} of the exposure "
+        f"{span}: the curve is not {assumed}"
+    )
+    advice = f"error bars widen by {cost:.1%} of the disparity; RAW files have no tone curve"
+    return [Check("tone curve", "cannot tell", finding, advice, figures)], curve
