@@ -23,7 +23,7 @@ from PIL import Image
 
 from chromaperture.calibration import calibrate_session as steps
 from chromaperture.calibration import fit_response
-from chromaperture.calibration.options import Store, silent
+from chromaperture.calibration.options import Cache, silent
 from chromaperture.calibration.place_boards import measure_pinhole
 from chromaperture.calibration.session import read_session
 from chromaperture.camera.camera import load_camera
@@ -74,7 +74,7 @@ def boards(folders: list[Path]) -> None:
     print(f"{'session':<20}{'boards':>7}{'rms q - 1':>11}{'q':>15}{'misfit':>9}  decoded as")
     for folder in folders:
         session = read_session(folder)
-        corners = measure_pinhole(session, None, store=Store(None), progress=silent).corners
+        corners = measure_pinhole(session, None, cache=Cache(None), progress=silent).corners
         folded = fit_response.folded_boards(session, corners)
         if len(folded) < 2:
             print(f"{folder.name:<20}{len(folded):>7}")

@@ -14,7 +14,7 @@ import numpy as np
 from chromaperture.calibration.curves import Evidence
 from chromaperture.calibration.fit_blur import fit_blur
 from chromaperture.calibration.fit_fields import check_scale, fit_depth_field, ranked_curves
-from chromaperture.calibration.options import DEFAULT, CalibrationConfig, Progress, Store, reported, silent
+from chromaperture.calibration.options import DEFAULT, Cache, CalibrationConfig, Progress, reported, silent
 from chromaperture.calibration.place_boards import BoardDistances
 from chromaperture.calibration.session import Session
 from chromaperture.camera.method import sensor_noise
@@ -72,24 +72,13 @@ def calibrate_blur(
     config: CalibrationConfig = DEFAULT,
     *,
     lens: BlurModel | None = None,
-    store: Store | None = None,
+    cache: Cache | None = None,
     progress: Progress = silent,
 ) -> BlurredCamera:
-    """Fit the blur, then the depth curve of the matcher that uses it.
+    """Fit the blur, then the depth curve of the matcher that uses it, to the boards that ``evidence`` uses.
 
-    Parameters
-    ----------
-    camera : Calibration
-        With film and the depth curves of shifted views.
-    session : Session
-    evidence : Evidence
-        Distances of the session's N boards, and which to use.
-    config : CalibrationConfig
-    lens : BlurModel, optional
-        Start of the fit: the same lens, calibrated with another film. The fit then needs fewer boards.
-    store : Store, optional
-        Cache of what is measured on each board.
-    progress : callable, optional
+    ``camera`` has film and the depth curves of shifted views. ``lens`` is the start of the fit: the same lens,
+    calibrated with another film, which needs fewer boards.
     """
     numbers, distances = np.flatnonzero(evidence.used), evidence.distances
     if not config.lens_blur:
@@ -114,7 +103,7 @@ def calibrate_blur(
         for i in reported(list(chosen), "depth of the layers", progress):
             measure = partial(_measure, session, i, float(inverse_mm[i]), fit.blur, camera)
             what = ("layers", fit.blur.model, float(inverse_mm[i]), camera.sensor)
-            cells.append((store or Store()).arrays(paths[i], what, measure))
+            cells.append((cache or Cache()).get(paths[i], what, measure))
         layer = np.full((len(paths), len(cells[0]["x"])), np.nan)
         layer[chosen] = [cell["layer"] for cell in cells]
         layers = LayerEvidence(size, cells[0]["x"], cells[0]["y"], layer, fit.disagreement, fit.start_disagreement)
@@ -128,10 +117,7 @@ def calibrate_blur(
 def fit_layers(layers: LayerEvidence, distances: BoardDistances, used: np.ndarray) -> DepthField:
     """Fit the depth curve to the layers; fields and nonlinearity take what the blur's few numbers do not follow.
 
-    Raises
-    ------
-    InputError
-        The boards do not determine even one curve.
+    Raises InputError where the boards do not determine even one curve.
     """
     measured = used & np.isfinite(layers.layer_px).any(axis=1)
     samples = (layers.x_px, layers.y_px, layers.layer_px, distances)
@@ -192,33 +178,16 @@ def measured_layers(
     full_well_electrons: float | None = None,
     execution: ExecutionName = "numba",
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Measure the disparity of a flat board, in cells over the frame.
+    """Measure the disparity of a flat board, in cells over the frame, by the evidence of quality ``accurate``.
 
-    Pairs of channels alone: the boards' speckle has no power law, which would mislead the likelihood of all channels.
+    A cell is read where the log-likelihood of all its pixels together is largest. The surface that ``accurate`` makes
+    of the evidence explains a flat board by one plane, which would hide how its reading changes over the frame. Pairs
+    of channels alone: the boards' speckle has no power law, which would mislead the likelihood of all channels.
+    ``inverse_mm`` is 1 / z of the board, around which disparities are searched; ``unmixing`` has rows of M^-1, (K, 3);
+    ``noise_variance`` is the image's, (H, W, 3).
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32
-    inverse_mm : float, 1/mm
-        1 / z of the board, around which disparities are searched.
-    blur : LensBlur
-    aperture : Aperture
-    cell_px : int
-        Side of a cell.
-    unmixing : (K, 3) float, optional
-        Rows of M^-1.
-    noise_variance : (H, W, 3) float, optional
-        Of the image, (white level)^2.
-    full_well_electrons : float, optional
-        Of the camera's sensor: its settings depend on it.
-    execution : {"numba", "numpy"}
-
-    Returns
-    -------
-    x_px, y_px : (N,) float
-        Centres of the cells.
-    layer_px : (N,) float64
-        NaN where half of a cell is clipped, or what it shows does not tell its layer to within one.
+    Returns the centres x and y of the cells and their disparities, (N,) float64 each, px; NaN where half of a cell is
+    clipped, or what it shows does not tell its layer to within one.
     """
     height, width = image.shape[:2]
     config = AccurateConfig.for_blur(blur.reach, full_well_electrons=full_well_electrons)
@@ -268,16 +237,11 @@ _REFERENCE = 1 / 3
 
 
 def lens_moves(camera: Calibration) -> np.ndarray | None:
-    """Return `Calibration.channel_moves_px`; None without a blur, and for designs that match two channels.
+    """Return `Calibration.channel_moves_px`, (rows, columns, 3, 2) float64, px, x before y: by the fitted blur.
 
-    Parameters
-    ----------
-    camera : Calibration
-        With depth curves and a blur.
-
-    Returns
-    -------
-    (rows, columns, 3, 2) float64, px, x before y
+    What the lens does to a channel is the displacement after which channels differ least (`color.lens_shift`). Of that,
+    all channels share a translation and a disparity, which moves each along its direction in the pupil; the rest is
+    returned. None without a blur, and for designs that match two channels.
     """
     blur = camera.field_blur()
     if blur is None or len(camera.unmixing) < 3:
@@ -292,18 +256,9 @@ def lens_moves(camera: Calibration) -> np.ndarray | None:
 
 
 def beyond_disparity(moves_px: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Take the common translation and the disparity that explain the most off displacements.
+    """Take the common translation and the disparity that explain the most off displacements, (..., K, 2), px.
 
-    Parameters
-    ----------
-    moves_px : (..., K, 2) float, px
-    directions : (K, 2) float
-        Displacement per px of disparity.
-
-    Returns
-    -------
-    (..., K, 2) float64, px
-        Its mean over the channels is 0, and it has no part along the directions.
+    ``directions``, (K, 2), are the displacements per px of disparity.
     """
     apart = moves_px - moves_px.mean(axis=-2, keepdims=True)
     along = directions - directions.mean(axis=0)

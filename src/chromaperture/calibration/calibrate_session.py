@@ -24,7 +24,7 @@ from chromaperture.calibration.curves import (
 )
 from chromaperture.calibration.fit_fields import DepthFit
 from chromaperture.calibration.fit_response import disparity_error, with_response
-from chromaperture.calibration.options import DEFAULT, CalibrationConfig, Progress, Store, silent
+from chromaperture.calibration.options import DEFAULT, Cache, CalibrationConfig, Progress, silent
 from chromaperture.calibration.place_boards import BoardDistances, measure_pinhole, place_boards
 from chromaperture.calibration.read_boards import BoardMeasurement, grid, measure_again, measure_boards, pixel_sigma
 from chromaperture.calibration.rendered_boards import rendered_nonlinearity
@@ -122,28 +122,28 @@ def calibrate_session(
     InputError
         Something is missing or invalid; the message names it.
     """
-    store = Store(None if keep_in is None else Path(keep_in))
+    cache = Cache(None if keep_in is None else Path(keep_in))
     session = read_session(folder)
     lens_from = _at_size_of(session, lens_from)
     lens = lens_from.blur if lens_from else None
-    pinhole = measure_pinhole(session, lens_from, store=store, progress=progress)
+    pinhole = measure_pinhole(session, lens_from, cache=cache, progress=progress)
     session, tone_notes = with_response(session, pinhole.corners)
     sheets = measure_white_sheets(session)
     placed = place_boards(session, pinhole, config)
     nominal = dict.fromkeys(QUALITIES, DepthField.constant(nominal_depth_model(session)))
     draft = assemble_camera(session, sheets, placed.intrinsics, nominal, config)
-    boards = measure_boards(session, draft, pinhole, placed, store=store, progress=progress)
+    boards = measure_boards(session, draft, pinhole, placed, cache=cache, progress=progress)
     everything = Evidence(sheets.sensor, boards, placed.distances, session.ruler_error_mm, np.ones(len(boards), bool))
     selected = without_outliers(everything, "paper")
     shifted = fit_curves(selected, config, progress=progress)
     start = dataclasses.replace(draft, depth=with_accurate(shifted, draft.design))
-    blurred = calibrate_blur(start, session, selected, config, lens=lens, store=store, progress=progress)
+    blurred = calibrate_blur(start, session, selected, config, lens=lens, cache=cache, progress=progress)
     moves = lens_moves(blurred.camera)
     matched = dataclasses.replace(blurred.camera, channel_moves_px=moves)
     if moves is not None:
-        boards = measure_again(boards, session, matched, store=store, progress=progress)
+        boards = measure_again(boards, session, matched, cache=cache, progress=progress)
         selected = dataclasses.replace(selected, boards=boards)
-    rendered = rendered_nonlinearity(matched, session, selected, config, store=store, progress=progress)
+    rendered = rendered_nonlinearity(matched, session, selected, config, cache=cache, progress=progress)
     evidence = dataclasses.replace(selected, rendered=rendered)
     curves = shifted if moves is None and not rendered else fit_curves(evidence, config, progress=progress)
     fields = {**with_accurate(curves, draft.design), "accurate": blurred.camera.depth["accurate"]}

@@ -121,10 +121,7 @@ def with_accurate(curves: Mapping[Quality, FittedCurve], design: str) -> dict[Qu
 def fit_curve(evidence: Evidence, quality: Quality, config: CalibrationConfig = DEFAULT) -> FittedCurve:
     """Fit fields over the frame and the matcher's nonlinearity, or one curve where the boards are too few.
 
-    Raises
-    ------
-    InputError
-        The boards do not determine even one curve.
+    Raises InputError where the boards do not determine even one curve.
     """
     sensor, boards = evidence.sensor, evidence.boards
     size = (sensor.width_px, sensor.height_px)

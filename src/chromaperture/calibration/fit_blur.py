@@ -84,21 +84,8 @@ def fit_blur(
 ) -> BlurFit:
     """Fit all parameters of the blur: the important ones, then all, then all to all tiles.
 
-    Parameters
-    ----------
-    boards : iterable of ((H, W, 3) float32, float)
-        Linear photographs and 1 / z of their board, z from the entrance pupil in mm. Iterated over once.
-    start : LensBlur
-        Focus and scale to 20 %; aberrations may be 0.
-    board_count : int
-    tile_count : int
-        Tiles of all boards together; see `CalibrationConfig`.
-    progress : callable, optional
-
-    Raises
-    ------
-    InputError
-        No board, or none with texture.
+    ``boards`` yields photographs, (H, W, 3) float32, with 1 / z of their board, z from the entrance pupil in mm, once.
+    ``start`` has focus and scale to 20 %; aberrations may be 0. Raises InputError without a board that has texture.
     """
     per_board = max(_LEAST_TILES, math.ceil(tile_count / max(board_count, 1)))
     size, tiles = _tile_size(start), []

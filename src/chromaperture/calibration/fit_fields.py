@@ -54,6 +54,9 @@ def fit_depth_field(
 ) -> tuple[DepthField, np.ndarray]:
     """Fit both fields, and the matcher's nonlinearity, to the disparities of boards.
 
+    Returns the field with the covariance of all fitted coefficients, and measured minus fitted disparity (N, P) of all
+    boards, used or not; of linear disparities where the nonlinearity is known.
+
     Parameters
     ----------
     x_px, y_px : (P,) float
@@ -70,14 +73,7 @@ def fit_depth_field(
     boards : (N,) bool, optional
         Boards to use; all when absent.
     covariance : bool
-        Compute the covariance, which takes a third of the time; NaN without.
-
-    Returns
-    -------
-    field : DepthField
-        With the covariance of all fitted coefficients.
-    residual_px : (N, P) float64
-        Measured minus fitted, of unused boards too; of linear disparities where the nonlinearity is known.
+        Without, the covariance is NaN, and sums are rougher: for many trials of which one is chosen.
 
     Raises
     ------
@@ -315,27 +311,11 @@ def fit_depth_model(
     sensor_to_pupil_mm: float,
     sensor_to_pupil_sigma_mm: float,
 ) -> DepthFit:
-    """Fit d = A - B / (distance - delta), robustly, with a prior on delta.
+    """Fit d = A - B / (distance - delta) to N >= 3 boards, robustly, with a prior on delta (paper section 3.4).
 
-    Delta is the worst determined of the three (to 3 mm where A is to 0.03 px); its prior comes from the boards' poses
-    or from the focal length of the lens.
-
-    Parameters
-    ----------
-    distance_mm : (N,) float
-        Ruler distance from the sensor plane; N >= 3.
-    disparity_px : (N,) float
-        Half disparity measured there.
-    disparity_sigma_px : (N,) float
-    distance_sigma_mm : float
-        Standard deviation of the ruler.
-    sensor_to_pupil_mm, sensor_to_pupil_sigma_mm : float
-        Prior of delta.
-
-    Raises
-    ------
-    InputError
-        The boards do not determine the curve, or disparity falls with distance.
+    Distances are from the sensor plane, disparities half ones; (N,) float each. Delta is the worst determined of the
+    three (to 3 mm where A is to 0.03 px); its prior comes from the boards' poses or from the lens's focal length.
+    Raises InputError where the boards do not determine the curve, or disparity falls with distance.
     """
     all_distances, all_disparities = np.asarray(distance_mm, float), np.asarray(disparity_px, float)
     sigma = np.asarray(disparity_sigma_px, float)
@@ -393,29 +373,12 @@ def ranked_curves(
     """Rank numbers of Chebyshev terms, and a known nonlinearity, by cross-validation over boards.
 
     The error is the median over the frame of each left-out board, relative to its distance, which excludes the noise of
-    single pixels.
+    single pixels. ``known`` is of rendered boards, and tried where there are fewer than ``MANY_BOARDS``; the other
+    parameters are those of `fit_depth_field`.
 
-    Parameters
-    ----------
-    x_px, y_px : (P,) float
-    disparity_px : (N, P) float
-        Measured on each of N boards; NaN is left out.
-    distances : BoardDistances
-        Of all N boards.
-    size_px : (width, height)
-    degree : int
-        Total degree of the fields.
-    boards : (N,) bool
-        Which boards to use.
-    known : Nonlinearity, optional
-        From rendered boards; tried where there are fewer than ``MANY_BOARDS``.
-
-    Returns
-    -------
-    list of int or Nonlinearity
-        First the known nonlinearity or, if it is worse than the best by more than chance, the fewest terms that are
-        not. Then the others, best first. Last 0 terms, because a curve that was monotonic without some boards may not
-        be with all of them.
+    First comes the known nonlinearity or, if it is worse than the best by more than chance, the fewest terms that are
+    not. Then the others, best first. Last 0 terms, because a curve that was monotonic without some boards may not be
+    with all of them.
     """
     thin = slice(None, None, max(1, len(x_px) // _POINTS))
     x, y, disparity = x_px[thin], y_px[thin], disparity_px[:, thin]
@@ -464,26 +427,9 @@ def with_local(
     size_px: tuple[int, int],
     boards: np.ndarray,
 ) -> DepthField:
-    """Fit corrections of A and B at every point of a grid by ridge regression.
+    """Fit corrections of A and B at every point of a grid by ridge regression (paper Figure 7).
 
-    Parameters
-    ----------
-    field : DepthField
-        Smooth fields, fitted to the same boards.
-    x_px : (w,) float, y_px : (h,) float
-        The grid, of one pitch along both.
-    disparity_px : (N, h, w) float
-        Measured on each of N boards; NaN is left out.
-    distances : BoardDistances
-        Of all N boards.
-    size_px : (width, height)
-    boards : (N,) bool
-        Which boards to use.
-
-    Returns
-    -------
-    DepthField
-        With ``local``.
+    ``field`` is fitted to the same boards; the grid (w,), (h,) has one pitch; disparities are (N, h, w), NaN unknown.
     """
     x, y = np.meshgrid(x_px, y_px)
     model = field.at(x, y, *size_px)

@@ -63,23 +63,12 @@ class FoldedBoard:
 
 @dataclass(frozen=True)
 class FittedResponse:
-    """A response and how well it explains the boards.
-
-    Attributes
-    ----------
-    curve : ResponseCurve
-    deviation : float
-        Root mean square of exponent - 1 over the values of the boards.
-    exponents : (float, float)
-        Smallest and largest of them, 5th and 95th percentile.
-    misfit : float
-        Root mean square error of the boards' values by the curve, sRGB code.
-    """
+    """A response and how well it explains the boards."""
 
     curve: ResponseCurve
-    deviation: float
-    exponents: tuple[float, float]
-    misfit: float
+    deviation: float  # root mean square of exponent - 1 over the values of the boards
+    exponents: tuple[float, float]  # smallest and largest of them, 5th and 95th percentile
+    misfit: float  # root mean square error of the boards' values by the curve, sRGB code
 
 
 def with_response(session: Session, corners: Mapping[Path, np.ndarray]) -> tuple[Session, tuple[str, ...]]:
@@ -125,18 +114,9 @@ def folded_boards(session: Session, corners: Mapping[Path, np.ndarray]) -> list[
 
 
 def fold_board(image: np.ndarray, corners_px: np.ndarray, inner_corners: tuple[int, int]) -> FoldedBoard | None:
-    """Average a photographed chessboard over its squares of either colour.
+    """Average a chessboard, (H, W, 3) float32 as decoded, over its squares of either colour.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, as decoded
-    corners_px : (N, 2) float, as `find_corners` returns them
-    inner_corners : (columns, rows)
-
-    Returns
-    -------
-    FoldedBoard or None
-        None where too few squares are not saturated.
+    None where too few squares are not saturated. ``corners_px`` are those of `find_corners`.
     """
     columns, rows = inner_corners
     grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2).astype(np.float32)
@@ -203,21 +183,11 @@ _CELLS, _PLACES = 96, 1201  # across the pupil, and along an edge's profile; fin
 
 @dataclass(frozen=True)
 class ToneCurve:
-    """The local exponent q of decoded values by their level; (N,) float64 each.
+    """The local exponent q of decoded values by their level."""
 
-    Attributes
-    ----------
-    level : (N,)
-        Geometric mean of the values of both exposures, of full scale.
-    exponent : (N,)
-        Logarithm of the ratio of the values over that of the exposures; 1 where decoded light is linear.
-    scatter : float
-        Of single blocks about the exponent of their level: large where the scene or the light changed.
-    """
-
-    level: np.ndarray
-    exponent: np.ndarray
-    scatter: float
+    level: np.ndarray  # (N,) float64: geometric mean of the values of both exposures, of full scale
+    exponent: np.ndarray  # (N,) float64: log ratio of the values over that of the exposures; 1 where light is linear
+    scatter: float  # of single blocks about the exponent of their level: large where the scene or the light changed
 
     @property
     def error(self) -> float:
@@ -226,23 +196,12 @@ class ToneCurve:
 
 
 def measure_tone(shorter: np.ndarray, longer: np.ndarray, exposure_ratio: float) -> ToneCurve:
-    """Measure the exponent of decoded values.
+    """Measure the exponent of decoded values by one scene, (H, W, 3) linear as decoded, at two exposures.
 
-    Parameters
-    ----------
-    shorter, longer : (H, W, 3) float, linear as decoded
-        The same scene, the second exposed longer.
-    exposure_ratio : float
-        Of the longer exposure to the shorter one.
-
-    Returns
-    -------
-    ToneCurve
-
-    Raises
-    ------
-    InputError
-        Other sizes, exposures that hardly differ, or too little that is neither dark nor saturated in both.
+    Where values are u = L^q of the light L, the ratio of two exposures k apart is k^q at every level; a curve that was
+    decoded wrongly in another way has another q at each level, and vignetting shows many levels in one picture.
+    Constant ratios are no proof: q needs the exposures, which a camera states to some 5 %, so that q is known to
+    0.05 / ln k. Raises InputError for other sizes, exposures that hardly differ, or too little to compare.
     """
     if shorter.shape != longer.shape:
         raise InputError("the two exposures have different sizes; take both with the same settings")
@@ -281,18 +240,9 @@ def _blocks(image: np.ndarray) -> np.ndarray:
 def disparity_error(design: str, exponent_error: float) -> float:
     """Return the relative error of disparities that calibration with the same wrong exponent leaves.
 
-    Parameters
-    ----------
-    design : str
-        Of usual film.
-    exponent_error : float
-        `ToneCurve.error`; 0 to 1.
-
-    Returns
-    -------
-    float
-        Largest difference of an edge's disparity to that of faint edges, relative to it, over contrasts, both
-        directions of the edge, and both signs of the exponent's error.
+    A wrong q separates views by the wrong powers. That displaces all edges by the same share of their disparity, which
+    calibration takes up. What is left depends on contrast, because the profile of an edge through the pupil bends with
+    it: the largest difference to faint edges, over contrasts, directions, and signs of ``exponent_error`` (0 to 1).
     """
     if not 0 <= exponent_error < 1:
         raise InputError(f"the error of the tone curve's exponent must lie between 0 and 1, got {exponent_error:g}")
@@ -310,17 +260,8 @@ def edge_disparity(design: str, exponent: float, contrast: float, direction: int
     """Return the half disparity of an edge whose light is decoded to the power of an exponent, in pupil radii.
 
     The edge is seen by each channel through its part of the pupil, the views are separated with what white sheets
-    show at the same exponent, and each edge stands at the mean of its slope.
-
-    Parameters
-    ----------
-    design : str
-        Of usual film.
-    exponent : float
-    contrast : float
-        Of the bright side to the dark one.
-    direction : {1, -1}
-        Bright after or before the edge.
+    show at the same exponent, and each edge stands at the mean of its slope. ``direction`` is 1 where it is bright
+    after the edge, else -1; ``contrast`` that of the bright side to the dark one.
     """
     aperture = made_of(design_named(design), "real")
     points, light = pupil_samples(aperture, _CELLS)

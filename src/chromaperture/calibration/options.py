@@ -1,4 +1,4 @@
-"""Options of a calibration."""
+"""Options of a calibration, its progress, and the cache from which an interrupted one resumes."""
 
 from __future__ import annotations
 
@@ -20,45 +20,25 @@ from chromaperture.system.errors import InputError
 
 @dataclass(frozen=True)
 class CalibrationConfig:
-    """Options of `calibrate_session`; the camera file records them. Defaults were chosen by hand where none is cited.
+    """Options of `calibrate_session`; the camera file records them. Defaults were chosen by hand.
 
-    Attributes
-    ----------
-    lens_blur : bool
-        Fit the blur of the lens, which takes most of the time. Quality ``accurate`` matches with it.
-    per_pixel : bool
-        Correct A and B of shift matching at every point of a grid, towards the smooth fields where boards are few.
-    field_degrees : tuple of int
-        Total degrees of the polynomials A and B, tried in this order until B is positive all over the frame.
-    min_field_boards : int
-        Fewer boards get one curve for the whole frame.
-    blur_tiles : int
-        Tiles, over all boards, that the blur is fitted to: time grows with it, the error falls with its root.
-    layer_boards : int
-        Most boards on which the depth curve of ``accurate`` is measured.
-    rendered_boards : int
-        Boards rendered with the fitted blur to measure the nonlinearity of shift matching, where boards are few:
-        three for each of its eight terms.
-    pupil_sigma_mm : float
-        Standard deviation of the prior that the entrance pupil lies one image distance before the sensor.
-    range_margin : (near, far)
-        The working range is that of the boards times these.
-
-    Raises
-    ------
-    InputError
-        A count is too small or the margins shrink the range.
+    Raises InputError where a count is too small or the margins shrink the range.
     """
 
-    lens_blur: bool = True
+    lens_blur: bool = True  # fit the blur of the lens, which takes most of the time; ``accurate`` matches with it
+    # Correct A and B of shift matching at every point of a grid, towards the smooth fields where boards are few
     per_pixel: bool = False
+    # Total degrees of the polynomials A and B, tried in this order until B is positive all over the frame
     field_degrees: tuple[int, ...] = (4, 2)
-    min_field_boards: int = 5
+    min_field_boards: int = 5  # fewer get one curve for the whole frame
+    # Tiles, over all boards, that the blur is fitted to: time grows with it, the error falls with its root
     blur_tiles: int = 180
-    layer_boards: int = 40
+    layer_boards: int = 40  # most boards on which the depth curve of ``accurate`` is measured
+    # Boards rendered with the fitted blur to measure the nonlinearity of shift matching, where photographed ones are
+    # few: three for each of its eight terms
     rendered_boards: int = 24
-    pupil_sigma_mm: float = 10.0
-    range_margin: tuple[float, float] = (0.9, 1.3)
+    pupil_sigma_mm: float = 10.0  # of the prior that the entrance pupil lies one image distance before the sensor
+    range_margin: tuple[float, float] = (0.9, 1.3)  # (near, far): the working range is that of the boards times these
 
     def __post_init__(self) -> None:
         least = {"min_field_boards": 3, "blur_tiles": 1, "layer_boards": 3, "rendered_boards": 3}
@@ -91,19 +71,16 @@ def reported(items: Sequence[T], what: str, progress: Progress) -> Iterator[T]:
 _RELEASE = version("chromaperture")
 
 
-class Store:
-    """Arrays, keyed by what they were computed from; without a folder nothing is kept.
+class Cache:
+    """Arrays, keyed by what they were computed from, from which an interrupted calibration resumes.
 
-    Parameters
-    ----------
-    folder : Path or None
-        Created on first use. If it cannot be written to, everything is computed again.
+    The folder is created on first use; without one, or if it cannot be written to, everything is computed again.
     """
 
     def __init__(self, folder: Path | None = None) -> None:
         self.folder = folder
 
-    def arrays(
+    def get(
         self, photograph: Path, settings: object, compute: Callable[[], Mapping[str, np.ndarray]]
     ) -> Mapping[str, np.ndarray]:
         """Return ``compute()``, from disk if this release has computed it for that photograph and those settings."""

@@ -18,7 +18,7 @@ from chromaperture.calibration.chessboard import (
     find_corners,
     fit_intrinsics,
 )
-from chromaperture.calibration.options import CalibrationConfig, Progress, Store, reported
+from chromaperture.calibration.options import Cache, CalibrationConfig, Progress, reported
 from chromaperture.calibration.session import Session, check_units, nominal_depth_model
 from chromaperture.color.unmixing import view_reach
 from chromaperture.model.camera_file import Calibration
@@ -49,12 +49,12 @@ class PlacedBoards:
     notes: tuple[str, ...]
 
 
-def measure_pinhole(session: Session, lens_from: Calibration | None, *, store: Store, progress: Progress) -> Pinhole:
+def measure_pinhole(session: Session, lens_from: Calibration | None, *, cache: Cache, progress: Progress) -> Pinhole:
     """Find the corners of all boards; fit the pinhole to the tilted ones, or take that of ``lens_from``."""
     corners, colors = {}, {}
     for path in reported([*session.tilts, *session.boards], "chessboards", progress):
         what = ("corners, color", session.inner_corners, session.sensor)
-        found = store.arrays(path, what, partial(_corners, session, path))
+        found = cache.get(path, what, partial(_corners, session, path))
         if not found["corners"].size:
             continue
         corners[path] = found["corners"]
@@ -163,18 +163,9 @@ def fit_distances(
     sensor_to_pupil_mm: float,
     sensor_to_pupil_sigma_mm: float,
 ) -> BoardDistances:
-    """Fit distances to rulers and poses, robustly.
+    """Fit distances to rulers (from the sensor plane) and poses (from the entrance pupil, NaN unknown), robustly; mm.
 
-    Parameters
-    ----------
-    ruler_mm : (N,) float
-        From the sensor plane.
-    pose_mm : (N,) float
-        From the entrance pupil, by the corners; NaN where a board was not found.
-    ruler_sigma_mm : float
-    pose_sigma_mm : (N,) float
-    sensor_to_pupil_mm, sensor_to_pupil_sigma_mm : float
-        Prior of delta, which alone determines it when fewer than four boards have a pose.
+    The prior of the sensor-to-pupil distance alone determines it when fewer than four boards have a pose.
     """
     ruler, pose = np.asarray(ruler_mm, float), np.asarray(pose_mm, float)
     n = len(ruler)
@@ -229,20 +220,10 @@ def _pose_factor(residual_mm: np.ndarray, pose_sigma_mm: np.ndarray, ruler_sigma
 def find_outliers(
     names: Sequence[str], ruler_mm: np.ndarray, measured_mm: np.ndarray, sigma_mm: np.ndarray, *, ruler_error_mm: float
 ) -> dict[str, str]:
-    """Find boards whose ruler contradicts the measurement, and pairs that were swapped.
+    """Find boards whose ruler contradicts the measurement, and pairs that were swapped; a sentence by name.
 
-    Parameters
-    ----------
-    names : sequence of str
-    ruler_mm, measured_mm : (N,) float
-        Distance from the sensor by ruler, and by corners or fitted curve; NaN unknown.
-    sigma_mm : (N,) float
-        Standard deviation of their difference.
-    ruler_error_mm : float
-
-    Returns
-    -------
-    dict of name to sentence
+    ``measured_mm`` is the distance from the sensor by corners or fitted curve, NaN unknown; ``sigma_mm`` the standard
+    deviation of its difference to the ruler; (N,) each.
     """
     ruler, measured = np.asarray(ruler_mm, float), np.asarray(measured_mm, float)
     limit = np.maximum(_OUTLIER * np.asarray(sigma_mm, float), 2 * ruler_error_mm)

@@ -154,13 +154,7 @@ class Session:
 
 
 def read_session(folder: str | Path) -> Session:
-    """Read and check a session folder.
-
-    Raises
-    ------
-    InputError
-        A file or an entry is missing or invalid; the message names it.
-    """
+    """Read and check a session folder; raises InputError that names what is missing or invalid."""
     folder = Path(folder)
     settings = folder / "session.toml"
     if not os.path.isfile(settings):
@@ -312,15 +306,9 @@ _OTHER_UNIT = 5.0  # ratio of expected to given distance from which the unit is 
 
 
 def check_units(ruler_mm: np.ndarray, expected_mm: np.ndarray | float, *, where: str) -> None:
-    """Raise InputError that names the unit, where distances are not in mm.
+    """Raise InputError that names the unit of the distances in ``where``, if it is not mm.
 
-    Parameters
-    ----------
-    ruler_mm : (N,) float
-    expected_mm : (N,) float or float
-        Rough distances from poses or from the focus; NaN is left out.
-    where : str
-        File of the distances.
+    ``expected_mm`` are rough distances from poses or from the focus; NaN is left out.
     """
     ratios = np.asarray(expected_mm, float) / np.asarray(ruler_mm, float)
     ratios = ratios[np.isfinite(ratios)]

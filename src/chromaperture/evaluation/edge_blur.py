@@ -18,22 +18,10 @@ GREEN = 1  # the channel in which corners are found
 
 
 def edge_blur(plane: np.ndarray, corners: np.ndarray, inner_corners: tuple[int, int]) -> tuple[float, float]:
-    """Measure the standard deviation of the blur across the edges of a chessboard.
+    """Measure the standard deviation of the blur across the edges of a chessboard, along x and y; px, NaN unknown.
 
     Every stretch between two neighbouring corners is an edge. Profiles across all edges of one direction are averaged,
     dark to bright, and the integral of a Gaussian is fitted. Of a disc of radius r it finds about 0.5 r.
-
-    Parameters
-    ----------
-    plane : (H, W) float, linear
-    corners : (N, 2) float, px
-        From `find_corners`.
-    inner_corners : (columns, rows)
-
-    Returns
-    -------
-    (float, float), px
-        Along x, from the upright edges, and along y; NaN where it cannot be measured.
     """
     columns, rows = inner_corners
     grid = corners.reshape(rows, columns, 2).astype(float)

@@ -48,43 +48,23 @@ _EDGE_PX = 4  # corners nearer to the frame's edge are probably cut off
 
 @dataclass(frozen=True)
 class Reading:
-    """What one photograph of the board tells; px are those of `Session.sensor`.
+    """What one photograph of the board tells; px are those of `Session.sensor`."""
 
-    Attributes
-    ----------
-    ruler_mm : float or None
-        None for a tilted board.
-    width_px : int
-        Of the pictures that px are of: `Session` reduces large photographs the more, the nearer its boards are.
-    corners_px : (N, 2) float or None
-    pose_mm : float
-        Distance of the board's middle from the sensor plane by its corners and the engraved focal length.
-    lean_deg : (float, float)
-        How far its left edge, and its top, lean towards the camera.
-    disparity_px, disparity_sigma_px : float
-        Of the middle of the frame; NaN for a tilted board.
-    pixel_sigma_px : float
-        Scatter of single pixels of disparity.
-    blur_px : (float, float)
-        Along x and y.
-    exposure : float or None
-        Of a sheet at two exposures: ms as typed, or time, gain and f-number together as the file states them.
-    is_exposure_typed : bool
-    tone : tuple of (level, exponent)
-        What it told together with another one, see `ToneCurve`; empty for the first one.
-    """
-
-    ruler_mm: float | None = None
+    ruler_mm: float | None = None  # None for a tilted board
+    # Of the pictures that px are of: `Session` reduces large photographs the more, the nearer its boards are
     width_px: int = 0
-    corners_px: np.ndarray | None = None
+    corners_px: np.ndarray | None = None  # (N, 2) float
+    # Distance of the board's middle from the sensor plane by its corners and the engraved focal length
     pose_mm: float = float("nan")
-    lean_deg: tuple[float, float] = (float("nan"), float("nan"))
-    disparity_px: float = float("nan")
+    lean_deg: tuple[float, float] = (float("nan"), float("nan"))  # of its left edge, and its top, towards the camera
+    disparity_px: float = float("nan")  # of the middle of the frame; NaN for a tilted board
     disparity_sigma_px: float = float("nan")
-    pixel_sigma_px: float = float("nan")
-    blur_px: tuple[float, float] = (float("nan"), float("nan"))
+    pixel_sigma_px: float = float("nan")  # scatter of single pixels of disparity
+    blur_px: tuple[float, float] = (float("nan"), float("nan"))  # along x and y
+    # Of a sheet at two exposures: ms as typed, or time, gain and f-number together as the file states them
     exposure: float | None = None
     is_exposure_typed: bool = False
+    # (level, exponent) that it told together with another one, see `ToneCurve`; empty for the first one
     tone: tuple[tuple[float, float], ...] = ()
 
     def at_width(self, width_px: int) -> Reading:
@@ -121,21 +101,10 @@ def check_board(
     notes: Sequence[str] = (),
     curve: DepthModel | None = None,
 ) -> CheckedShot:
-    """Check a photograph of the board square to the axis.
+    """Check a photograph of the board square to the axis, from `Session.read`.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32
-        From `Session.read`.
-    session : Session
-    ruler_mm : float
-        From the sensor plane.
-    range_mm : (near, far)
-        Between which disparities are searched.
-    notes : sequence of str
-        What reading the file warned of.
-    curve : DepthModel, optional
-        Fitted to the earlier boards; the engraved lens's when there are too few.
+    ``ruler_mm`` is from the sensor plane; disparities are searched between the ends of ``range_mm``; ``notes`` are what
+    reading the file warned of; ``curve`` is fitted to the earlier boards, the engraved lens's when there are too few.
     """
     checks = [_exposure(image), *_file(notes)]
     corners = find_corners(image[..., 1], session.inner_corners)
@@ -345,16 +314,9 @@ _NO_FILM, _WRONG_FILM = 0.10, 0.45  # ratio of channels against clear, from 1 an
 
 
 def check_sheet(image: np.ndarray, name: str, *, design: str, clear: np.ndarray | None = None) -> list[Check]:
-    """Check a photograph of a white sheet, the most urgent finding first.
+    """Check a photograph of a white sheet, (H, W, 3) float32, linear; the most urgent finding first.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear
-    name : str
-        Which sheet: ``open``, the design's name, or one of `SHEETS`.
-    design : str
-    clear : (3,) float, optional
-        Mean colour of the sheet through the open pupil.
+    ``name`` is ``open``, the design's, or one of `SHEETS`; ``clear`` the mean colour through the open pupil, (3,).
     """
     height, width = image.shape[:2]
     middle = image[height * 2 // 5 : height * 3 // 5, width * 2 // 5 : width * 3 // 5].reshape(-1, 3).astype(float)
@@ -466,21 +428,9 @@ def check_exposed(image: np.ndarray) -> Check:
 def check_tone(
     first: Exposed, second: Exposed, *, design: str, is_encoded: bool = True
 ) -> tuple[list[Check], ToneCurve | None]:
-    """Compare two exposures of one scene.
+    """Compare two exposures of one scene; the curve is None where the pictures tell nothing.
 
-    Parameters
-    ----------
-    first, second : Exposed
-    design : str
-        Of the film, for what the finding costs.
-    is_encoded : bool
-        The files are of 8 bits and were decoded as sRGB.
-
-    Returns
-    -------
-    checks : list of Check
-    curve : ToneCurve or None
-        None where the pictures tell nothing.
+    ``is_encoded``: the files are of 8 bits and were decoded as sRGB.
     """
     ratio = max(first.exposure, second.exposure) / min(first.exposure, second.exposure)
     if ratio < LEAST_RATIO:
