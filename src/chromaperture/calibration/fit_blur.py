@@ -150,7 +150,7 @@ def _squares(transfer: np.ndarray) -> np.ndarray:
     return np.asarray(np.abs(transfer) ** 2)
 
 
-def _taper(blur: LensBlur, squares: np.ndarray, white: np.ndarray) -> list[np.ndarray]:
+def _taper(blur: LensBlur, squares: Sequence[np.ndarray], white: np.ndarray) -> list[np.ndarray]:
     """Return the filters of a tile's pairs that are constant during a step."""
     powers = ((squares[a] + squares[b]) / 2 for a, b, _ in _weighted_pairs(blur))
     return [white * np.sqrt(p / (p + _DAMPING)) for p in powers]
@@ -167,7 +167,7 @@ def _tapers(blur: LensBlur, tiles: Sequence[_Tile]) -> list[list[np.ndarray]]:
 
 
 def _pair_residual(
-    tile: _Tile, transfer: np.ndarray, squares: np.ndarray, pair: tuple[int, int, float], edge: np.ndarray
+    tile: _Tile, transfer: np.ndarray, squares: Sequence[np.ndarray], pair: tuple[int, int, float], edge: np.ndarray
 ) -> np.ndarray:
     """Return the weighted difference of two cross-filtered channels in a tile's core; (core, core) float32."""
     (a, b, weight), size = pair, tile.size
@@ -221,21 +221,21 @@ def _linearised(blur: LensBlur, moved: Mapping[str, tuple[LensBlur, float]], til
     residual = np.stack([_pair_residual(tile, transfer, squares, *each) for each in zip(pairs, taper, strict=True)])
     jacobian = np.zeros((len(moved), *residual.shape), np.float32)
     for row, (name, (other, step)) in zip(jacobian, moved.items(), strict=True):
+        colors = (0,) if "red" in name else (2,) if "blue" in name else (0, 1, 2)
         if "rim" in name:
-            light = other.ray_weights(position)
-            if np.array_equal(light, rays.light):
+            bent = rays._replace(light=other.ray_weights(position))
+            if np.array_equal(bent.light, rays.light):
                 continue
-            bent = rays._replace(light=light)
         else:
-            colors = (0,) if "red" in name else (2,) if "blue" in name else (0, 1, 2)
             points = rays.at_infinity_px.copy()
             points[list(colors)] = displacements(other.model, other.pupil.points, position, 0.0, colors)
             bent = rays._replace(at_infinity_px=points)
         there = other.transfer_of(bent, tile.inverse_mm, tile.size)
-        changed = [not np.array_equal(one, two) for one, two in zip(there, transfer, strict=True)]
-        others = np.stack([_squares(there[k]) if changed[k] else squares[k] for k in range(3)])
+        # A channel beside that of the colour can change, too, by rounding: two are transformed at once.
+        same = [len(colors) == 1 and np.array_equal(one, two) for one, two in zip(there, transfer, strict=True)]
+        others = [squares[k] if same[k] else _squares(there[k]) for k in range(3)]
         for i, pair in enumerate(pairs):
-            if changed[pair[0]] or changed[pair[1]]:
+            if not (same[pair[0]] and same[pair[1]]):
                 row[i] = (_pair_residual(tile, there, others, pair, taper[i]) - residual[i]) / step
     flat, rows = residual.ravel(), jacobian.reshape(len(moved), -1)
     return _Linearised(float(flat @ flat), rows @ rows.T, rows @ flat, taper)
