@@ -41,6 +41,13 @@ _LEAST_CELL_PX = 16
 _DEGREES = (4, 2, 0)  # of the curve's fields; the lower ones where boards are few
 # Rims of the start, pupil radii: vignetting of a common double Gauss. Chosen by hand; the fit moves them.
 _START_RIM = {"front_rim_radius": 1.08, "front_rim_shift": 0.33, "rear_rim_radius": 1.08, "rear_rim_shift": 0.33}
+# Chosen by hand, not tuned.
+_SEARCHED = (6, 15)  # layers searched to either side of the expected one; the second where cells remained unknown
+_KNOWN_CELLS = 0.9  # fraction of cells that ends the search
+_LEAST_USABLE = 0.5  # fraction of a cell's pixels that are not clipped
+_PLACES = (9, 7)  # along width and height; vignetting and lateral colour bend less in between
+# Of the blur radius at the far end of the range, where pairs of squares disagree more than in focus
+_REFERENCE = 1 / 3
 
 
 @dataclass(frozen=True)
@@ -160,12 +167,6 @@ def _start(camera: Calibration, lens: BlurModel | None) -> LensBlur:
     return LensBlur(lens, pupil, camera.sensor.width_px, camera.sensor.height_px)
 
 
-# Chosen by hand, not tuned.
-_SEARCHED = (6, 15)  # layers searched to either side of the expected one; the second where cells remained unknown
-_KNOWN_CELLS = 0.9  # fraction of cells that ends the search
-_LEAST_USABLE = 0.5  # fraction of a cell's pixels that are not clipped
-
-
 def measured_layers(
     image: np.ndarray,
     inverse_mm: float,
@@ -228,12 +229,6 @@ def _most_likely(log_likelihood: np.ndarray, layers_px: np.ndarray) -> float:
     before, here, after = log_likelihood[best - 1 : best + 2].astype(float)
     bend = 2 * here - before - after  # 1 / variance, in layers
     return float(layers_px[best] + step * (after - before) / (2 * bend)) if bend >= 1 else math.nan
-
-
-_PLACES = (9, 7)  # along width and height; vignetting and lateral colour bend less in between
-# Of the blur radius at the far end of the range. Pairs of squares disagree by .2 px more there than in focus; on 16
-# simulated scenes squares find .70, .71, .70, .69 of the pixels within 2 % with 0, .25, .5 and .7 of it.
-_REFERENCE = 1 / 3
 
 
 def lens_moves(camera: Calibration) -> np.ndarray | None:

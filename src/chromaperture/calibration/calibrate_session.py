@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -149,14 +150,14 @@ def calibrate_session(
     fields = {**with_accurate(curves, draft.design), "accurate": blurred.camera.depth["accurate"]}
     depth = {quality: with_scale_error(field, _tone_error(session)) for quality, field in fields.items()}
     residuals = {quality: curve.residual_px.astype(np.float32) for quality, curve in curves.items()}
-    steps = (sheets, pinhole, placed, blurred, *curves.values())
+    of_steps = [step.notes for step in (sheets, pinhole, placed, blurred)] + [curve.notes for curve in curves.values()]
     fits = {quality: curve.fit for quality, curve in curves.items()}
     result = CalibrationResult(
         calibration=assemble_camera(
             session, sheets, placed.intrinsics, depth, config, blur=blurred.camera.blur, channel_moves_px=moves
         ),
         fits=fits,
-        notes=(*tone_notes, *(note for step in steps for note in step.notes), *_weaknesses(session, evidence, fits)),
+        notes=(*tone_notes, *chain(*of_steps), *_weaknesses(session, evidence, fits)),
         session=dataclasses.replace(session),  # without the boards that it keeps
         residual_px=residuals,
         pixel_sigma_px={quality: pixel_sigma(residual) for quality, residual in residuals.items()},

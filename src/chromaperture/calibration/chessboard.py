@@ -32,6 +32,9 @@ _CENTERED = (
 )
 _FREE_CENTER = _CENTERED & ~cv2.CALIB_FIX_PRINCIPAL_POINT
 _MODELS = ((_CENTERED, 0), (_FREE_CENTER, 2), (_FREE_CENTER & ~cv2.CALIB_FIX_K2, 3))
+# Largest change of the logarithm of red or blue over green that is no fault; chosen by hand. Without a fault it is at
+# most .013 in eight sessions of ray-traced lenses, .052 in one of the magenta annulus, whose views have unlike colours.
+_LARGEST_CHANGE = 0.08
 
 
 @dataclass(frozen=True)
@@ -133,11 +136,6 @@ def board_distance(
     _, rotation, translation = cv2.solvePnP(grid, corners, intrinsics.camera_matrix, intrinsics.distortion)
     normal = cv2.Rodrigues(rotation)[0][:, 2]
     return float(normal @ translation[:, 0] / normal[2])
-
-
-# Largest change of the logarithm of red or blue over green that is no fault; chosen by hand. Without a fault it is at
-# most .013 in eight sessions of ray-traced lenses, .052 in one of the magenta annulus, whose views have unlike colours.
-_LARGEST_CHANGE = 0.08
 
 
 def board_color(image: np.ndarray, corners_px: np.ndarray) -> np.ndarray:

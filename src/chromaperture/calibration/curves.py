@@ -204,8 +204,5 @@ def weaknesses(evidence: Evidence, fits: Mapping[Quality, DepthFit], *, at_infin
 
 
 def curve_without_blur(design: str) -> Quality:
-    """Return the quality whose depth curve serves ``accurate`` without a lens blur: that which matches the same views.
-
-    A curve fitted to boards read by ``accurate`` itself was no different.
-    """
+    """Return the quality whose curve serves ``accurate`` without a lens blur: the one that matches the same views."""
     return "real-time" if mixes_three_views(design_named(design)) else "paper"

@@ -38,8 +38,7 @@ _LEAST_POWER = np.float32(1e-5)  # added to S, against division by 0
 _LEAST_CONTRAST = 1e-3  # standard deviation, white level = 1: less is paper without print
 _FLOOR = 0.02  # of a tile's power: residuals below are not fitted further, because the blur varies within a tile
 # Of the middle's light that every corner keeps: where rims close there are no rays to trace. A lens that loses four
-# f-stops at the corners keeps .06. The whole step is refused: with the rims held and the rest moved, the aberrations of
-# a session of boards through an achromat ran away (walls 10 to 17 % too far, 2 to 3 % so).
+# f-stops at the corners keeps .06. The whole step is refused: with the rims held the aberrations can run away.
 _LEAST_LIGHT = 0.03
 _PRIOR = 5e-3  # weight of the priors; strong ones stop the fit halfway from spherical aberration to defocus
 _FIRST_DAMPING, _LEAST_DAMPING, _DAMPING_STEP, _TRIES = 1e-3, 1e-6, 8.0, 6  # of Levenberg and Marquardt, no unit
@@ -145,9 +144,9 @@ def _weighted_pairs(blur: LensBlur) -> list[tuple[int, int, float]]:
     return [(a, b, blur.separations[a, b]) for a, b in (*blur.pairs, *blur.other_pairs)]
 
 
-def _squares(transfer: np.ndarray) -> np.ndarray:
+def _squares(transfer: np.ndarray) -> list[np.ndarray]:
     """Return |H|^2 of every channel."""
-    return np.asarray(np.abs(transfer) ** 2)
+    return list(np.abs(transfer) ** 2)
 
 
 def _taper(blur: LensBlur, squares: Sequence[np.ndarray], white: np.ndarray) -> list[np.ndarray]:
@@ -233,7 +232,7 @@ def _linearised(blur: LensBlur, moved: Mapping[str, tuple[LensBlur, float]], til
         there = other.transfer_of(bent, tile.inverse_mm, tile.size)
         # A channel beside that of the colour can change, too, by rounding: two are transformed at once.
         same = [len(colors) == 1 and np.array_equal(one, two) for one, two in zip(there, transfer, strict=True)]
-        others = [squares[k] if same[k] else _squares(there[k]) for k in range(3)]
+        others = [squares[k] if same[k] else np.abs(there[k]) ** 2 for k in range(3)]
         for i, pair in enumerate(pairs):
             if not (same[pair[0]] and same[pair[1]]):
                 row[i] = (_pair_residual(tile, there, others, pair, taper[i]) - residual[i]) / step

@@ -31,6 +31,16 @@ _SAMPLES_A_TERM = 20  # least measurements for a coefficient of A; chosen by han
 _TILES = 4  # across the frame: wider tiles find no more covariance, errors are not correlated farther than that
 _LEAST_LEFT = 0.05  # least of 1 - leverage, which errors are divided by the root of; chosen by hand
 _RIDGE_PX = 1.0  # prior of a coefficient of the nonlinearity, tenths of a px as a rule: only determines unused ones
+_MIN_BOARDS = 3  # as many as unknowns
+_LEAST_RANGE = 0.05  # of 1 / distance, relative to the nearest board: less is one distance; chosen by hand
+_FOLDS = 8  # of the cross-validation; chosen by hand, not tuned
+_TRIALS = (2, 3, 4, 5, 6, 7, 8)  # terms; mirrored halves of a pupil always bias a shift matcher, see `Nonlinearity`
+_BOARDS_A_TERM = 3  # with fewer boards for a term, it follows the error of single distances; chosen by hand
+MANY_BOARDS = _TRIALS[-1] * _BOARDS_A_TERM  # enough for every trial; measured beats rendered nonlinearity from here on
+_POINTS = 400  # samples of the frame: the nonlinearity is the same everywhere; chosen by hand
+_AS_GOOD = 1.25  # ratio of errors that is chance: two standard errors of a root mean square over thirty boards
+_GROSS_PX = 0.5  # a larger residual is a wrong match, not the lens; chosen by hand
+_RIDGE = 4.0  # weight of the smooth fields, in boards: it predicted left-out boards best
 
 
 def check_scale(field: DepthField, size_px: tuple[int, int]) -> None:
@@ -288,10 +298,6 @@ def _leverage(rows: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return np.asarray((np.linalg.qr(weighted)[0] ** 2).sum(axis=1))
 
 
-_MIN_BOARDS = 3  # as many as unknowns
-_LEAST_RANGE = 0.05  # of 1 / distance, relative to the nearest board: less is one distance; chosen by hand
-
-
 @dataclass(frozen=True)
 class DepthFit:
     """A fitted curve and its residuals."""
@@ -351,14 +357,6 @@ def fit_depth_model(
     return DepthFit(model, residual_mm, residual_px, float(np.sqrt(np.nanmean(residual_mm**2))))
 
 
-_FOLDS = 8  # of the cross-validation; chosen by hand, not tuned
-_TRIALS = (2, 3, 4, 5, 6, 7, 8)  # terms; mirrored halves of a pupil always bias a shift matcher, see `Nonlinearity`
-_BOARDS_A_TERM = 3  # with fewer boards for a term, it follows the error of single distances; chosen by hand
-MANY_BOARDS = _TRIALS[-1] * _BOARDS_A_TERM  # enough for every trial; measured beats rendered nonlinearity from here on
-_POINTS = 400  # samples of the frame: the nonlinearity is the same everywhere; chosen by hand
-_AS_GOOD = 1.25  # ratio of errors that is chance: two standard errors of a root mean square over thirty boards
-
-
 def ranked_curves(
     x_px: np.ndarray,
     y_px: np.ndarray,
@@ -411,10 +409,6 @@ def _folds(boards: np.ndarray) -> Iterator[np.ndarray]:
         left_out = np.zeros(len(boards), bool)
         left_out[used[fold::_FOLDS]] = True
         yield left_out
-
-
-_GROSS_PX = 0.5  # a larger residual is a wrong match, not the lens; chosen by hand
-_RIDGE = 4.0  # weight of the smooth fields, in boards: it predicted left-out boards best
 
 
 def with_local(

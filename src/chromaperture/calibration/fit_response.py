@@ -38,8 +38,7 @@ _BOARDS = 8  # that are read, the most blurred ones; chosen by hand
 _FEWEST_BOARDS = 2  # one may be lit unevenly; chosen by hand
 _DARKEST = 1e-4  # decoded value; below, 16 bits have 6 counts
 _CODE_SIGMA = 0.01  # sRGB code by which the points of simulated boards miss their curve: .0012 to .004
-# Weights of the prior, in standard deviations a knot for all points together: curves are smooth and near 1. Of 20
-# linear sessions, bench50's four among them, exponents are then within .04 of 1 where there are values.
+# Weights of the prior, in standard deviations a knot for all points together: curves are smooth and near 1.
 _SMOOTH, _NEAR_ONE = 0.03, 0.15
 _FLAT_SLOPE = 0.02  # of the mean slope, added to it: a curve without slope would explain everything; chosen by hand
 # Root mean square of exponent - 1 over the values of the boards: at most .024 of 20 linear sessions, .10 of JPEG files
@@ -51,6 +50,12 @@ _TONE_LEFT = 0.06  # rms of the exponents' error that is left: of the strong S-c
 _MOST_EXPONENT = 10.0  # limit of the fit, far beyond any camera's; chosen by hand
 _EIGHT_BITS = "the photographs have 8 bits a channel: linear files, as RAW, are more accurate"
 _ENCODED = {"srgb": "encoded by the sRGB curve", "linear": "linear, though their files usually are not"}
+LEAST_RATIO = 1.4  # of two exposures: half a stop; less, and q is known to 0.15 at best; chosen by hand
+_BLOCKS = 24  # along the shorter side of a picture, whose means are compared; chosen by hand
+_DARKEST_BLOCK = 0.01  # of full scale: below, 8 bits of sRGB have fewer than 25 counts; chosen by hand
+_FEWEST, _BINS = 12, 8  # blocks of a bin of levels; bins; chosen by hand
+_CONTRASTS = (1.001, 1.5, 2.0, 4.0, 8.0, 23.0)  # of edges; the last is black print, 0.04, on paper of 0.92
+_CELLS, _PLACES = 96, 1201  # across the pupil, and along an edge's profile; finer ones change 1e-4
 
 
 @dataclass(frozen=True)
@@ -171,14 +176,6 @@ def fit_response(boards: Sequence[FoldedBoard]) -> FittedResponse:
         curve, float(np.sqrt(np.mean((exponents - 1) ** 2))), (float(low), float(high)),
         float(np.sqrt(np.mean(errors(fit.x) ** 2))),
     )  # fmt: skip
-
-
-LEAST_RATIO = 1.4  # of two exposures: half a stop; less, and q is known to 0.15 at best; chosen by hand
-_BLOCKS = 24  # along the shorter side of a picture, whose means are compared; chosen by hand
-_DARKEST_BLOCK = 0.01  # of full scale: below, 8 bits of sRGB have fewer than 25 counts; chosen by hand
-_FEWEST, _BINS = 12, 8  # blocks of a bin of levels; bins; chosen by hand
-_CONTRASTS = (1.001, 1.5, 2.0, 4.0, 8.0, 23.0)  # of edges; the last is black print, 0.04, on paper of 0.92
-_CELLS, _PLACES = 96, 1201  # across the pupil, and along an edge's profile; finer ones change 1e-4
 
 
 @dataclass(frozen=True)

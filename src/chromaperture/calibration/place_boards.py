@@ -29,6 +29,13 @@ from chromaperture.system.robust import huber_weights
 # Error of a corner, px, and as a fraction of the blur radius. Chosen by hand; `fit_distances` corrects it by rulers.
 _CORNER_SIGMA = 0.03
 _LEAST_RULER_SIGMA_MM = 0.1  # a ruler stated to err by 0 would leave the fit without a solution
+_ROUNDS = 20  # of reweighting; chosen by hand, far more than it needs
+_MIN_POSES = 4  # two determine delta and scale; chosen by hand
+_SCALE_SIGMA = 0.05  # prior of scale: Zhang's method finds a focal length to better than 5 %
+_FIXED_SCALE_SIGMA = 1e-6  # without poses
+_MOST_FACTOR, _FACTOR_SIGMA = 5.0, 1.0  # limit of the correction of the corners' error; prior, in natural logarithms
+_OUTLIER = 5.0  # standard deviations, and at least twice the ruler's own error; chosen by hand
+_NO_WEIGHT = 1e-6  # of a ruler that is off by twice that: a weight of 0 could leave the equations singular
 
 
 @dataclass(frozen=True)
@@ -131,15 +138,6 @@ def _pose_sigma(session: Session, corners: np.ndarray | None) -> float:
     return depth_mm * _CORNER_SIGMA * (1 + abs(float(disparity)) / reach) / (width_px / 2)
 
 
-_ROUNDS = 20  # of reweighting; chosen by hand, far more than it needs
-_MIN_POSES = 4  # two determine delta and scale; chosen by hand
-_SCALE_SIGMA = 0.05  # prior of scale: Zhang's method finds a focal length to better than 5 %
-_FIXED_SCALE_SIGMA = 1e-6  # without poses
-_MOST_FACTOR, _FACTOR_SIGMA = 5.0, 1.0  # limit of the correction of the corners' error; prior, in natural logarithms
-_OUTLIER = 5.0  # standard deviations, and at least twice the ruler's own error; chosen by hand
-_NO_WEIGHT = 1e-6  # of a ruler that is off by twice that: a weight of 0 could leave the equations singular
-
-
 @dataclass(frozen=True)
 class BoardDistances:
     """Distances of the boards, and pupil and focal length by them."""
@@ -165,7 +163,13 @@ def fit_distances(
 ) -> BoardDistances:
     """Fit distances to rulers (from the sensor plane) and poses (from the entrance pupil, NaN unknown), robustly; mm.
 
-    The prior of the sensor-to-pupil distance alone determines it when fewer than four boards have a pose.
+    A ruler errs by a few mm at any distance. A pose is proportional to the focal length and errs with blur and
+    distance. With z the distance of a board from the pupil::
+
+        ruler = z + delta + e,        scale * pose = z + p
+
+    both observe z, the sensor-to-pupil distance delta, and the correction ``scale`` of the focal length: a linear
+    problem except for the weights. The prior of delta alone determines it when fewer than four boards have a pose.
     """
     ruler, pose = np.asarray(ruler_mm, float), np.asarray(pose_mm, float)
     n = len(ruler)

@@ -53,6 +53,8 @@ _MOST_CSV_BYTES = 1_000_000  # of distances.csv: 20,000 boards
 # Name of the white sheet through a whole pupil of one filter; film without a name has none.
 SHEETS = {"cyan": "sheet_c", "yellow": "sheet_y", "magenta": "sheet_m", "red": "sheet_r", "green": "sheet_g",
           "blue": "sheet_b"}  # fmt: skip
+_UNITS = {"cm": 10.0, "m": 1000.0, "inches": 25.4, "feet": 304.8}  # mm
+_OTHER_UNIT = 5.0  # ratio of expected to given distance from which the unit is wrong: half that of cm
 
 
 @dataclass(frozen=True)
@@ -297,12 +299,6 @@ def _distances(folder: Path) -> dict[Path, float]:
     if missing:
         raise InputError(f"{table} names photographs that are not there: {', '.join(missing[:5])}")
     return boards
-
-
-_UNITS = {"cm": 10.0, "m": 1000.0, "inches": 25.4, "feet": 304.8}  # mm
-
-
-_OTHER_UNIT = 5.0  # ratio of expected to given distance from which the unit is wrong: half that of cm
 
 
 def check_units(ruler_mm: np.ndarray, expected_mm: np.ndarray | float, *, where: str) -> None:

@@ -44,6 +44,16 @@ _RULER, _SCALE = 0.12, 3.0  # ruler against pose by the engraved focal length: e
 _MOVED_PX, _MOVED_SIGMAS = 0.15, 4.0  # disparity against the curve of the earlier boards
 _VISIBLE_PX = 0.5  # expected disparity from which film must show
 _EDGE_PX = 4  # corners nearer to the frame's edge are probably cut off
+# Limits, chosen by hand from the causes named.
+_SHEET_SATURATED, _SHEET_DARK = 0.001, 0.10  # share of the pixels of the middle; its mean, of full scale
+_TEXTURE = 0.10  # scatter of the middle over its mean: a sheet in focus shows its dirt, a scene much more
+_NO_FILM, _WRONG_FILM = 0.10, 0.45  # ratio of channels against clear, from 1 and from usual film, natural logarithm
+# Limits, chosen by hand from the causes named.
+# Of the exponent. Exposure times are stated to some 5 %, which is 0.07 of it at a factor of two.
+_AS_ASSUMED, _IMPOSSIBLE = 0.03, 0.5
+# Of single blocks' exponents about that of their level: noise of 8 bits makes 0.02, another scene more than 0.3.
+_SCATTER = 0.15
+_SAME_LIGHT = 0.15  # exponent below which the pictures are equally bright, whatever exposures are stated
 
 
 @dataclass(frozen=True)
@@ -307,12 +317,6 @@ def _disparity_at(model: DepthModel, at_mm: float) -> float:
     return float(model.infinity_disparity_px) - float(model.scale_px_mm) / z
 
 
-# Limits, chosen by hand from the causes named.
-_SHEET_SATURATED, _SHEET_DARK = 0.001, 0.10  # share of the pixels of the middle; its mean, of full scale
-_TEXTURE = 0.10  # scatter of the middle over its mean: a sheet in focus shows its dirt, a scene much more
-_NO_FILM, _WRONG_FILM = 0.10, 0.45  # ratio of channels against clear, from 1 and from usual film, natural logarithm
-
-
 def check_sheet(image: np.ndarray, name: str, *, design: str, clear: np.ndarray | None = None) -> list[Check]:
     """Check a photograph of a white sheet, (H, W, 3) float32, linear; the most urgent finding first.
 
@@ -394,14 +398,6 @@ def _place(image: np.ndarray) -> list[Check]:
                       "the film is away from the iris, or the light is uneven: turn the sheet by 180 degrees to see "
                       "which", figures)]  # fmt: skip
     return [Check("place of the film", "ok", f"colour changes by {tint.ramp:.0%} over the frame", "", figures)]
-
-
-# Limits, chosen by hand from the causes named.
-# Of the exponent. Exposure times are stated to some 5 %, which is 0.07 of it at a factor of two.
-_AS_ASSUMED, _IMPOSSIBLE = 0.03, 0.5
-# Of single blocks' exponents about that of their level: noise of 8 bits makes 0.02, another scene more than 0.3.
-_SCATTER = 0.15
-_SAME_LIGHT = 0.15  # exponent below which the pictures are equally bright, whatever exposures are stated
 
 
 @dataclass(frozen=True)
