@@ -253,6 +253,17 @@ def test_counts_that_are_no_degree_are_refused():
             degree_of(count)
 
 
+def test_rough_sums_differ_by_rounding_alone(rng):
+    """Without the covariance sums are in another order; boards' weights and a nonlinearity are in all of them."""
+    x, y, disparity = measured_boards(rng, 0.05)
+    (exact, left), (rough, also_left) = (
+        fit(x, y, bent(disparity), nonlinearity=3, covariance=precisely) for precisely in (True, False)
+    )
+    np.testing.assert_allclose(rough.scale_px_mm, exact.scale_px_mm, atol=1e-7 * exact.scale_px_mm[0])
+    np.testing.assert_allclose(also_left, left, atol=1e-8)
+    assert np.isnan(rough.covariance).all()
+
+
 def test_too_little_to_fit_says_so(rng):
     x, y, disparity = measured_boards(rng, 0.0)
     with pytest.raises(InputError, match="more boards"):
