@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session, leave_one_out
-from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.calibration.chessboard import find_corners, fit_intrinsics
+from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth

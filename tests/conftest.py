@@ -10,7 +10,7 @@ import pytest
 
 from apps import calibrate_rendered, render_session
 from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session
-from chromaperture.calibration.calibration_config import CalibrationConfig
+from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.cli.main import main
 from worlds import write_board_session
 

@@ -14,10 +14,11 @@ from chromaperture.app.assistant import advice, best_gain, check_shot, frame_cel
 from chromaperture.app.calibration_job import CalibrationJob
 from chromaperture.app.forecast import curve_sigma
 from chromaperture.app.session_folder import MOST_SHOTS, Holding, SessionFolder, Shot
-from chromaperture.app.shot_checks import Reading, edge_blur
 from chromaperture.app.workbench import Workbench
 from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.calibration_config import CalibrationConfig
+from chromaperture.calibration.options import CalibrationConfig
+from chromaperture.evaluation.edge_blur import edge_blur
+from chromaperture.evaluation.session_checks import Reading
 from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import sample_camera
 from chromaperture.system.errors import InputError

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from chromaperture.calibration.board_layers import measured_layers
-from chromaperture.calibration.calibrate_blur import calibrate_blur
+from chromaperture.calibration.calibrate_blur import calibrate_blur, measured_layers
 from chromaperture.calibration.fit_blur import fit_blur
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.model.camera_file import Calibration

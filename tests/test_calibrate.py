@@ -11,13 +11,11 @@ import numpy as np
 import pytest
 import tifffile
 
-from chromaperture.calibration.assemble_camera import curve_without_blur
 from chromaperture.calibration.calibrate_session import calibrate_session, leave_one_out
-from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.calibration.chessboard import board_distance, board_points, centered_pinhole, fit_intrinsics
-from chromaperture.calibration.curves import weaknesses
-from chromaperture.calibration.fit_curve import fit_depth_model
-from chromaperture.calibration.fit_fields import check_scale
+from chromaperture.calibration.curves import curve_without_blur, weaknesses
+from chromaperture.calibration.fit_fields import check_scale, fit_depth_model
+from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.calibration.session import read_session
 from chromaperture.calibration.white_sheets import measure_white_sheets
 from chromaperture.color.unmixing import own_film_unmixing

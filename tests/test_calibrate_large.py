@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
 from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.calibration_config import CalibrationConfig
+from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.calibration.session import read_session
 from chromaperture.camera.method import default_config
 from chromaperture.model.scale import at_scale, working_scale
@@ -66,3 +67,14 @@ def test_photographs_of_few_pixels_are_not_reduced(tmp_path):
     write_board_session(tmp_path / "session")
     session = read_session(tmp_path / "session")
     assert session.photograph_size_px == (session.sensor.width_px, session.sensor.height_px) == (144, 108)
+
+
+def test_boards_are_decoded_once_as_far_as_memory_goes(sessions, monkeypatch):
+    session = read_session(sessions[1])
+    first, second, *_ = session.boards
+    size = session.read(first).nbytes
+    assert session.read(first) is session.read(first)
+    monkeypatch.setattr("chromaperture.calibration.session._KEPT_BYTES", size)
+    assert session.read(second) is not session.read(second)
+    otherwise = session.decoded_as(replace(session.sensor, black_level=session.sensor.black_level + 100))
+    assert otherwise.read(first).mean() < session.read(first).mean()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from chromaperture.calibration.calibrate_session import calibrate_session, leave_one_out
-from chromaperture.calibration.calibration_config import CalibrationConfig
+from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
 from chromaperture.evaluation.accurate_noise import chosen_boards, with_accurate_noise

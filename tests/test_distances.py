@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from chromaperture.calibration.board_distances import check_units, find_outliers, fit_distances
+from chromaperture.calibration.place_boards import find_outliers, fit_distances
+from chromaperture.calibration.session import check_units
 from chromaperture.system.errors import InputError
 
 DELTA = 48.0

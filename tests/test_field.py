@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from numpy.polynomial import chebyshev
 
-from chromaperture.calibration.board_distances import BoardDistances
-from chromaperture.calibration.choose_curve import ranked_curves
-from chromaperture.calibration.fit_fields import fit_depth_field
-from chromaperture.calibration.fit_local_fields import with_local
+from chromaperture.calibration.fit_fields import fit_depth_field, ranked_curves, with_local
+from chromaperture.calibration.place_boards import BoardDistances
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.field import DepthField, degree_of, polynomials
 from chromaperture.depth.nonlinearity import Nonlinearity
@@ -253,6 +251,17 @@ def test_counts_that_are_no_degree_are_refused():
     for count in (0, 2, 4, 14):
         with pytest.raises(InputError, match="coefficients"):
             degree_of(count)
+
+
+def test_rough_sums_differ_by_rounding_alone(rng):
+    """Without the covariance sums are in another order; boards' weights and a nonlinearity are in all of them."""
+    x, y, disparity = measured_boards(rng, 0.05)
+    (exact, left), (rough, also_left) = (
+        fit(x, y, bent(disparity), nonlinearity=3, covariance=precisely) for precisely in (True, False)
+    )
+    np.testing.assert_allclose(rough.scale_px_mm, exact.scale_px_mm, atol=1e-7 * exact.scale_px_mm[0])
+    np.testing.assert_allclose(also_left, left, atol=1e-8)
+    assert np.isnan(rough.covariance).all()
 
 
 def test_too_little_to_fit_says_so(rng):

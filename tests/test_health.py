@@ -11,7 +11,8 @@ from PIL import Image
 
 from chromaperture.capture.exif import Exif, read_exif
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.evaluation.health import check_camera, is_healthy, outcome
+from chromaperture.evaluation.checks import is_healthy
+from chromaperture.evaluation.health import check_camera, outcome
 from chromaperture.evaluation.tint import measure_tint
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Board

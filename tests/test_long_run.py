@@ -15,10 +15,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from chromaperture.app.live.notices import RareNotices
-from chromaperture.app.live.old_submaps import forget_old
 
-from chromaperture.app.live.loop import LiveLoop
+from chromaperture.app.live.loop import LiveLoop, RareNotices, forget_old
 from chromaperture.app.live.slots import Slot
 from chromaperture.app.live.watchdog import Watchdog
 from chromaperture.camera.camera import load_camera

@@ -9,9 +9,8 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 from scipy.ndimage import map_coordinates
 
-from chromaperture.calibration.lens_moves import beyond_disparity, lens_moves
-from chromaperture.calibration.measurement_cache import Store
-from chromaperture.calibration.progress import silent
+from chromaperture.calibration.calibrate_blur import beyond_disparity, lens_moves
+from chromaperture.calibration.options import Cache, silent
 from chromaperture.calibration.read_boards import BoardMeasurement, measure_again
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.matching.device.device import open_device
@@ -144,7 +143,7 @@ def test_boards_are_measured_again_with_them():
     )
     session = Boards({1500.0: image})
     made = replace(camera(THIN), channel_moves_px=values)
-    (again,) = measure_again([board], session, made, store=Store(), progress=silent)
+    (again,) = measure_again([board], session, made, cache=Cache(), progress=silent)
     assert again.disparity_px["paper"] == 7.0
     # .004 and .006 px are found; without the displacement .09 and .45.
     assert again.disparity_px["real-time"] == pytest.approx(1.2, abs=0.03)

@@ -18,7 +18,7 @@ from PIL import Image
 
 import chromaperture as cap
 from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.calibration_config import CalibrationConfig
+from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.calibration.session import read_session
 from chromaperture.calibration.white_sheets import measure_white_sheets
 from chromaperture.capture import raw as raw_files

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 import typer
 
-from chromaperture.calibration.board_distances import BoardDistances
 from chromaperture.calibration.calibrate_blur import LayerEvidence
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.calibration.chessboard import Intrinsics
 from chromaperture.calibration.curves import Evidence
-from chromaperture.calibration.fit_curve import DepthFit
+from chromaperture.calibration.fit_fields import DepthFit
+from chromaperture.calibration.place_boards import BoardDistances
 from chromaperture.calibration.read_boards import BoardMeasurement
 from chromaperture.calibration.session import Session
 from chromaperture.cli.main import app, main
@@ -103,12 +103,19 @@ def result(tmp_path_factory):
     ruler = BoardDistances(RULERS - DELTA, DELTA, 1.0, 1.0, np.eye(6), np.full(5, -1.0), np.full(5, 2.0))
     evidence = Evidence(calibration.sensor, boards, ruler, 3.0, np.ones(5, bool))
     return CalibrationResult(
-        calibration=calibration, fits=dict.fromkeys(both, fit), boards=boards, notes=["a <note> & more"],
-        session=session, grid_x_px=x, grid_y_px=y, residual_px=dict.fromkeys(both, residual_px),
+        calibration=calibration, fits=dict.fromkeys(both, fit), notes=["a <note> & more"],
+        session=session, residual_px=dict.fromkeys(both, residual_px),
         pixel_sigma_px=dict.fromkeys(both, np.full(5, NOISE_PX)),
-        intrinsics=Intrinsics(calibration.lens.camera_matrix, np.zeros(5), 0.1), tilts={},
-        ruler=ruler, ruler_residual_mm=ruler.residual_mm, outliers={}, evidence=evidence,
+        intrinsics=Intrinsics(calibration.lens.camera_matrix, np.zeros(5), 0.1), tilts={}, evidence=evidence,
     )  # fmt: skip
+
+
+def with_evidence(result, **changes):
+    return replace(result, evidence=replace(result.evidence, **changes))
+
+
+def with_distances(result, **changes):
+    return with_evidence(result, distances=replace(result.evidence.distances, **changes))
 
 
 def test_the_field_makes_a_flat_board_flat_again(result):
@@ -138,7 +145,7 @@ def test_errors_of_boards_come_back(result):
     moved = [replace(board, ruler_mm=board.ruler_mm) for board in result.boards]
     offset = np.array(result.residual_px["real-time"], copy=True)
     offset[3] += 0.1  # px
-    errors = board_errors(replace(result, boards=moved, residual_px={"real-time": offset}))
+    errors = board_errors(replace(with_evidence(result, boards=moved), residual_px={"real-time": offset}))
     z = RULERS[3] - DELTA
     assert errors[3] == pytest.approx(1 / (1 / z - 0.1 / B) - z, rel=0.05)  # noise of the median: 0.002 px of 0.1
     assert np.abs(errors[[0, 1, 2]]).max() < 3  # mm; 0.002 px are 1 mm at 2 m
@@ -288,11 +295,11 @@ def test_the_verdict_changes_with_the_evidence(result):
 
 
 def test_what_is_weak_is_named_with_what_to_do(result):
-    near = replace(result, boards=result.boards[:2], outliers={"1000.png": "board 1000 is 14 mm off its ruler."})
+    near = with_evidence(result, boards=result.boards[:2], outliers={"1000.png": "board 1000 is 14 mm off its ruler."})
     text = " ".join(s.text for s in weaknesses(near))
     for word in ("No board stands farther", "photograph two or three", "was found in 2 of 2", "14 mm off"):
         assert word in text
-    misread = replace(result, ruler_residual_mm=np.array([0, 0, 14.0, np.nan, 2]))
+    misread = with_distances(result, residual_mm=np.array([0, 0, 14.0, np.nan, 2]))
     said = [s.text for s in weaknesses(misread) if "disagree" in s.text]
     assert len(said) == 1
     assert "2000.png disagree by +14 mm" in said[0]
@@ -326,9 +333,9 @@ def test_film_of_another_design_cannot_be_used(result, monkeypatch, capsys, tmp_
 
 
 def test_far_boards_may_disagree_with_their_ruler_as_far_as_corners_err(result):
-    off = replace(result, ruler_residual_mm=np.array([0, 0, 14.0, 0, 14.0]))
-    sure = replace(result.ruler, residual_sigma_mm=np.array([2, 2, 2, 2, 6.0]))
-    said = [s.text for s in weaknesses(replace(off, ruler=sure)) if "disagree" in s.text]
+    off, sure = np.array([0, 0, 14.0, 0, 14.0]), np.array([2, 2, 2, 2, 6.0])
+    far = with_distances(result, residual_mm=off, residual_sigma_mm=sure)
+    said = [s.text for s in weaknesses(far) if "disagree" in s.text]
     assert len(said) == 1
     assert "2000.png" in said[0]
 
@@ -384,8 +391,8 @@ def test_a_tone_curve_has_a_section(result):
 
 def test_what_is_missing_leaves_its_section_out_of_pictures(result, tmp_path):
     bare = replace(
-        result,
-        ruler=None, ruler_residual_mm=np.full(5, np.nan), intrinsics=None,
+        with_distances(result, residual_mm=np.full(5, np.nan)),
+        intrinsics=None,
         session=replace(result.session, design="cy_open", folder=result.session.folder),
     )  # fmt: skip
     (tmp_path / "elsewhere").mkdir()

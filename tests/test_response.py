@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from chromaperture.calibration import fit_response as fit
-from chromaperture.calibration.board_light import board_color, color_notes
-from chromaperture.calibration.chessboard import find_corners
+from chromaperture.calibration.chessboard import board_color, color_notes, find_corners
 from chromaperture.calibration.fit_response import fit_response, fold_board, with_response
 from chromaperture.calibration.session import read_session
 from chromaperture.camera.camera import load_camera

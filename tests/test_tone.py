@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from apps import FACTS
+from chromaperture.calibration.fit_response import disparity_error, edge_disparity, measure_tone
 from chromaperture.calibration.session import read_session
-from chromaperture.calibration.tone_curve import disparity_error, edge_disparity, measure_tone
 from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth

@@ -11,8 +11,8 @@ import numpy as np
 import scipy.fft
 import tifffile
 
-from chromaperture.calibration.board_distances import BoardDistances
 from chromaperture.calibration.curves import Evidence
+from chromaperture.calibration.place_boards import BoardDistances
 from chromaperture.color.unmixing import own_film_unmixing, view_directions
 from chromaperture.depth.field import DepthField
 from chromaperture.matching.estimate import estimate_disparity

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.calibration_config import CalibrationConfig
-from chromaperture.calibration.progress import Progress, silent
+from chromaperture.calibration.options import CalibrationConfig, Progress, silent
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.effects.refocusing import Focus
 from chromaperture.effects.refocusing import refocus as blur_anew

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session
-from chromaperture.calibration.calibration_config import CalibrationConfig
+from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
 from chromaperture.color.color_maps import DISTANCE, color_map

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from chromaperture.calibration.board_distances import fit_distances
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.calibration.curves import Evidence, fit_curve
-from chromaperture.calibration.measurement_cache import Store
+from chromaperture.calibration.options import Cache
+from chromaperture.calibration.place_boards import fit_distances
 from chromaperture.calibration.read_boards import BoardMeasurement, grid
 from chromaperture.calibration.session import Session, read_session
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
@@ -98,7 +98,7 @@ def fitted(
     evidence: Evidence, session: Session, name: str, read: Read, *, keep_in: Path, sided: float | None = None
 ) -> DepthModel:
     """Read boards and fit the curve and its fields; ``sided`` is the focus, mm, if readings have no sign."""
-    store = Store(keep_in)
+    cache = Cache(keep_in)
     paths = list(session.boards)
     chosen = np.unique(np.linspace(0, len(paths) - 1, min(_BOARDS, len(paths))).round().astype(int))
     used = np.zeros(len(paths), bool)
@@ -117,7 +117,7 @@ def fitted(
             value = read(session.read(path))
             return {"middle": np.array(np.nanmedian(value[middle])), "grid": value[np.ix_(rows, columns)]}
 
-        found = store.arrays(path, ("prior", name, session.design), look)
+        found = cache.get(path, ("prior", name, session.design), look)
         sign = -1.0 if sided is not None and board.ruler_mm < sided else 1.0
         boards.append(_read_as(board, sign * float(found["middle"]), sign * found["grid"].astype(np.float32)))
     curve = fit_curve(replace(evidence, boards=boards, used=used), "real-time")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session
-from chromaperture.calibration.calibration_config import CalibrationConfig
+from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.simulator.scene import Plane
 from chromaperture.optics.simulator.session import SessionPlan, write_session

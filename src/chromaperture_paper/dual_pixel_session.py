@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.progress import Progress, silent
+from chromaperture.calibration.options import Progress, silent
 from chromaperture.depth.field import DepthField
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS, Aperture

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.calibration.fit_curve import DepthFit, fit_depth_model
+from chromaperture.calibration.fit_fields import DepthFit, fit_depth_model
 from chromaperture.evaluation.figures import BLUE, GREY, new_figure, style_axes
 from chromaperture.matching.estimate import estimate_disparity
 from chromaperture.optics.aperture import DESIGNS

@@ -11,17 +11,23 @@ import numpy as np
 from chromaperture.app.forecast import BOARD_SIGMA_PX, Forecast, Gain, Lens, best_gain, forecast
 from chromaperture.app.notes import heard
 from chromaperture.app.session_folder import Kind, SessionFolder
-from chromaperture.app.sheet_checks import check_sheet
-from chromaperture.app.shot_checks import CheckedShot, Reading, check_board, check_tilt, read_for_check
-from chromaperture.app.tone_checks import Exposed, check_exposed, check_tone
-from chromaperture.calibration.assemble_camera import nominal_depth_model
-from chromaperture.calibration.session import Session
+from chromaperture.calibration.fit_response import disparity_error
+from chromaperture.calibration.session import Session, nominal_depth_model
 from chromaperture.calibration.session_plan import PlannedSession
-from chromaperture.calibration.tone_curve import disparity_error
 from chromaperture.capture.exif import read_exif
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.evaluation.health import Check
+from chromaperture.evaluation.checks import Check
+from chromaperture.evaluation.session_checks import (
+    CheckedShot,
+    Exposed,
+    Reading,
+    check_board,
+    check_exposed,
+    check_sheet,
+    check_tilt,
+    check_tone,
+)
 from chromaperture.optics.aperture import design_named, made_of
 from chromaperture.system.errors import InputError
 
@@ -320,3 +326,10 @@ def _rows(predicted: Forecast) -> dict[str, list[float]]:
         "calibration_mm": predicted.calibration_mm.tolist(),
         "total_mm": predicted.total_mm.tolist(),
     }
+
+
+def read_for_check(session: Session, path: Path) -> tuple[np.ndarray, list[str]]:
+    """Read a photograph of a session; returns it and what reading it warned of; raises InputError."""
+    with heard() as notes:
+        image = session.read(path)
+    return image, notes()

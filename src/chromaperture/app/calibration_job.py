@@ -11,7 +11,7 @@ from typing import Any
 
 from chromaperture.app.session_folder import Holding
 from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.calibration_config import CalibrationConfig
+from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.evaluation.accurate_noise import with_accurate_noise
 from chromaperture.evaluation.report import write_report
 from chromaperture.evaluation.verdict import sentences, unusable

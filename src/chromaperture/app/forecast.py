@@ -1,6 +1,6 @@
 """Foretell the error bar of a calibration before it is made, and where one more board gains most.
 
-The curve is d = A - B / (distance - delta), as `calibration/fit_curve.py` fits it. Its covariance does not depend on
+The curve is d = A - B / (distance - delta), as `calibration/fit_fields.py` fits it. Its covariance does not depend on
 what is measured, only on where the boards stand and how well each is known: the normal equations of boards that are
 planned are those of boards that were measured.
 """
@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from chromaperture.calibration.board_distances import fit_distances
+from chromaperture.calibration.place_boards import fit_distances
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.depth_error_bound import Texture, disparity_bound

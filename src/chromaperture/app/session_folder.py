@@ -17,12 +17,12 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import Field
 
-from chromaperture.app.shot_checks import Reading
 from chromaperture.calibration.session import Session, read_session
 from chromaperture.calibration.session_plan import FOLDERS, PlannedSession, plan_files
 from chromaperture.capture.files import decode, is_encoded
 from chromaperture.capture.shots import is_photograph
-from chromaperture.evaluation.health import Check
+from chromaperture.evaluation.checks import Check
+from chromaperture.evaluation.session_checks import Reading
 from chromaperture.optics.aperture import design_named
 from chromaperture.system.errors import InputError
 from chromaperture.system.storage import staged, to_json

@@ -2,50 +2,33 @@
 
 from __future__ import annotations
 
+import datetime
+import hashlib
+import os
 from collections.abc import Mapping
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
+import cv2
+import numba
 import numpy as np
 
-from chromaperture.calibration.calibration_config import CalibrationConfig
 from chromaperture.calibration.chessboard import Intrinsics
-from chromaperture.calibration.session import Session
+from chromaperture.calibration.options import CalibrationConfig
+from chromaperture.calibration.session import Session, nominal_depth_model
 from chromaperture.calibration.white_sheets import WhiteSheets
-from chromaperture.color.unmixing import mixes_three_views, view_reach
-from chromaperture.depth.conversion import DepthModel
+from chromaperture.capture.exif import read_model
+from chromaperture.capture.picture_format import described
+from chromaperture.capture.shots import is_photograph
 from chromaperture.depth.field import DepthField
-from chromaperture.depth.paper_form import PaperParameters, model_to_paper, paper_to_model
+from chromaperture.depth.paper_form import model_to_paper
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Board, Lens
-from chromaperture.optics.aperture import design_named
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.optics.pinhole import centered_pinhole
 from chromaperture.settings.methods import Quality
-from chromaperture.system.errors import InputError
-
-
-def curve_without_blur(design: str) -> Quality:
-    """Return the quality whose depth curve serves ``accurate`` without a lens blur: that which matches the same views.
-
-    A curve fitted to boards read by ``accurate`` itself was no different.
-    """
-    return "real-time" if mixes_three_views(design_named(design)) else "paper"
-
-
-def nominal_depth_model(session: Session) -> DepthModel:
-    """Return the thin-lens curve of the engraved focal length and f-number, for search ranges and start values."""
-    f = session.nominal_focal_length_mm
-    z_focus = session.focused_at_about_mm - f  # from the pupil, about
-    if z_focus <= f:
-        raise InputError(f"focused_at_about_mm = {session.focused_at_about_mm:g} lies inside the focal length")
-    image_distance = f / (1 - f / z_focus)  # f for a lens focused at infinity
-    parameters = PaperParameters(
-        in_focus_mm=z_focus + image_distance,
-        baseline_mm=view_reach(design_named(session.design)) * f / session.nominal_f_number,  # b = 2 r_c
-        sensor_to_pupil_mm=image_distance,
-        focal_length_mm=f,
-    )
-    return paper_to_model(parameters, pixel_pitch_mm=session.sensor.pixel_pitch_mm)
 
 
 def assemble_camera(
@@ -57,7 +40,6 @@ def assemble_camera(
     *,
     blur: BlurModel | None = None,
     channel_moves_px: np.ndarray | None = None,
-    provenance: Mapping[str, Any] | None = None,
 ) -> Calibration:
     """Put the results of the steps together; without intrinsics the pinhole is the nominal one."""
     sensor = sheets.sensor
@@ -83,8 +65,49 @@ def assemble_camera(
         depth=depth,
         near_mm=min(rulers) * config.range_margin[0],
         far_mm=max(rulers) * config.range_margin[1],
-        provenance=provenance or {},
+        provenance={},
         blur=blur,
         channel_moves_px=channel_moves_px,
         board=Board(session.inner_corners, session.square_mm),
     )
+
+
+def origin(
+    session: Session,
+    sheets: WhiteSheets,
+    config: CalibrationConfig,
+    *,
+    command: str | None,
+    lens_from: Calibration | None,
+) -> dict[str, Any]:
+    """Record what a calibration was made from: the command line, if any, versions, options, and SHA-256 of all files.
+
+    ``camera_model`` is absent where no photograph names it, ``developed`` where nothing tells.
+    """
+    made: dict[str, Any] = described(session.form) | ({} if command is None else {"command": command})
+    lens = None
+    if lens_from is not None:
+        lens = {"design": lens_from.design, "date": lens_from.provenance.get("date"),
+                "focal_length_mm": lens_from.lens.focal_length_mm}  # fmt: skip
+    texts = (session.folder / name for name in ("session.toml", "distances.csv"))
+    files = (*texts, *session.boards, *session.tilts, *sheets.files)
+    model = next(filter(None, map(read_model, filter(is_photograph, files))), None)
+    if model is not None:
+        made["camera_model"] = model
+    if sheets.developed is not None:
+        made["developed"] = sheets.developed
+    return made | {
+        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
+        "versions": {
+            "chromaperture": version("chromaperture"),
+            "numpy": np.__version__,
+            "numba": numba.__version__,
+            "opencv": cv2.__version__,
+        },
+        "options": asdict(config),
+        "lens_from": lens,
+        "files": {
+            Path(os.path.relpath(path, session.folder)).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in files
+        },
+    }

@@ -5,37 +5,32 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from chromaperture.calibration.assemble_camera import assemble_camera, curve_without_blur, nominal_depth_model
-from chromaperture.calibration.board_distances import BoardDistances
-from chromaperture.calibration.calibrate_blur import BlurredCamera, LayerEvidence, calibrate_blur, fit_layers
-from chromaperture.calibration.calibration_config import DEFAULT, CalibrationConfig
+from chromaperture.calibration.assemble_camera import assemble_camera, origin
+from chromaperture.calibration.calibrate_blur import LayerEvidence, calibrate_blur, fit_layers, lens_moves
 from chromaperture.calibration.chessboard import Intrinsics
 from chromaperture.calibration.curves import (
     Evidence,
-    FittedCurve,
+    curve_without_blur,
     fit_curve,
     fit_curves,
     weaknesses,
     with_accurate,
     without_outliers,
 )
-from chromaperture.calibration.fit_curve import DepthFit
-from chromaperture.calibration.fit_response import with_response
-from chromaperture.calibration.lens_moves import lens_moves
-from chromaperture.calibration.measurement_cache import Store
-from chromaperture.calibration.place_boards import Pinhole, PlacedBoards, measure_pinhole, place_boards
-from chromaperture.calibration.progress import Progress, silent
-from chromaperture.calibration.provenance import origin
+from chromaperture.calibration.fit_fields import DepthFit
+from chromaperture.calibration.fit_response import disparity_error, with_response
+from chromaperture.calibration.options import DEFAULT, Cache, CalibrationConfig, Progress, silent
+from chromaperture.calibration.place_boards import BoardDistances, measure_pinhole, place_boards
 from chromaperture.calibration.read_boards import BoardMeasurement, grid, measure_again, measure_boards, pixel_sigma
 from chromaperture.calibration.rendered_boards import rendered_nonlinearity
-from chromaperture.calibration.session import Session, read_session
-from chromaperture.calibration.tone_curve import disparity_error
-from chromaperture.calibration.white_sheets import WhiteSheets, measure_white_sheets
+from chromaperture.calibration.session import Session, nominal_depth_model, read_session
+from chromaperture.calibration.white_sheets import measure_white_sheets
 from chromaperture.capture.picture_header import same_frame
 from chromaperture.depth.field import DepthField, degree_of
 from chromaperture.depth.field_scale import with_scale_error
@@ -50,22 +45,46 @@ class CalibrationResult:
 
     calibration: Calibration  # of the pictures that were matched, see `Session`; all px below are theirs
     fits: Mapping[Quality, DepthFit]  # the curve on the axis, with its covariance
-    boards: list[BoardMeasurement]
     notes: Sequence[str]  # a sentence for everything that was missing or weak
     session: Session  # decoded as its boards show; noise that was measured is in ``calibration.sensor``
-    grid_x_px: np.ndarray  # (w,) float64: image positions of the boards' grids
-    grid_y_px: np.ndarray  # (h,) float64
     residual_px: Mapping[Quality, np.ndarray]  # (boards, h, w) float32: measured minus fitted on the grid; NaN unknown
     # (boards,) float64: robust standard deviation of a pixel's disparity about the median residual of its board
     pixel_sigma_px: Mapping[Quality, np.ndarray]
     intrinsics: Intrinsics | None  # None where there were too few tilted boards
     tilts: Mapping[str, np.ndarray]  # (N, 2) float32, px: corners of the tilted boards, by file name
-    ruler: BoardDistances | None  # ruler against poses; None where there were too few poses
-    ruler_residual_mm: np.ndarray  # (boards,) float64, mm; ruler minus the distance by pose; NaN where there is no pose
-    outliers: Mapping[str, str]  # boards that contradict the others, by file name, with a sentence each
     evidence: Evidence  # the measurements that the curves were fitted to
     layers: LayerEvidence | None = None  # those for the curve of ``accurate``; None without a lens blur
     config: CalibrationConfig = field(default_factory=CalibrationConfig)
+
+    @property
+    def boards(self) -> list[BoardMeasurement]:
+        """What was measured on each board."""
+        return self.evidence.boards
+
+    @property
+    def outliers(self) -> Mapping[str, str]:
+        """Boards that contradict the others, by file name, with a sentence each."""
+        return self.evidence.outliers
+
+    @property
+    def ruler(self) -> BoardDistances | None:
+        """Ruler against poses; None where there were too few poses."""
+        return self.evidence.distances if np.isfinite(self.ruler_residual_mm).any() else None
+
+    @property
+    def ruler_residual_mm(self) -> np.ndarray:
+        """Ruler minus the distance by pose, (boards,) float64, mm; NaN where there is no pose."""
+        return self.evidence.distances.residual_mm
+
+    @property
+    def grid_x_px(self) -> np.ndarray:
+        """Image positions of the columns of the boards' grids, (w,) float64."""
+        return grid(self.calibration.sensor.width_px, self.calibration.sensor.width_px)
+
+    @property
+    def grid_y_px(self) -> np.ndarray:
+        """Image positions of the rows of the boards' grids, (h,) float64."""
+        return grid(self.calibration.sensor.height_px, self.calibration.sensor.width_px)
 
     @property
     def camera(self) -> Calibration:
@@ -84,62 +103,59 @@ def calibrate_session(
 ) -> CalibrationResult:
     """Calibrate the camera of a session folder.
 
-    Parameters
-    ----------
-    folder : str or Path
-        Laid out as ``docs/calibration-session.md`` shows.
-    config : CalibrationConfig
-    lens_from : Calibration, optional
-        The same lens at the same focus, for a session without tilted boards or with few boards: its pinhole is used,
-        and its blur is the start of the fit of the blur.
-    command : str, optional
-        Command line, for the camera file's provenance.
-    progress : callable, optional
-        Called with the name of the step, the number done, and the total.
-    keep_in : str or Path, optional
-        Folder for measurements of single photographs, from which an interrupted run resumes.
-
-    Raises
-    ------
-    InputError
-        Something is missing or invalid; the message names it.
+    ``folder``: laid out as ``docs/calibration-session.md`` shows; ``lens_from``: the same lens at the same focus, for a
+    session without tilted boards or with few boards: its pinhole is used, and its blur is the start of the fit of the
+    blur; ``command``: command line, for the camera file's provenance; ``progress``: called with the name of the step,
+    the number done, and the total; ``keep_in``: folder for measurements of single photographs, from which an
+    interrupted run resumes. Raises InputError: something is missing or invalid; the message names it.
     """
-    store = Store(None if keep_in is None else Path(keep_in))
+    cache = Cache(None if keep_in is None else Path(keep_in))
     session = read_session(folder)
     lens_from = _at_size_of(session, lens_from)
     lens = lens_from.blur if lens_from else None
-    pinhole = measure_pinhole(session, lens_from, store=store, progress=progress)
+    pinhole = measure_pinhole(session, lens_from, cache=cache, progress=progress)
     session, tone_notes = with_response(session, pinhole.corners)
     sheets = measure_white_sheets(session)
     placed = place_boards(session, pinhole, config)
     nominal = dict.fromkeys(QUALITIES, DepthField.constant(nominal_depth_model(session)))
     draft = assemble_camera(session, sheets, placed.intrinsics, nominal, config)
-    boards = measure_boards(session, draft, pinhole, placed, store=store, progress=progress)
+    boards = measure_boards(session, draft, pinhole, placed, cache=cache, progress=progress)
     everything = Evidence(sheets.sensor, boards, placed.distances, session.ruler_error_mm, np.ones(len(boards), bool))
     selected = without_outliers(everything, "paper")
     shifted = fit_curves(selected, config, progress=progress)
     start = dataclasses.replace(draft, depth=with_accurate(shifted, draft.design))
-    blurred = calibrate_blur(start, session, selected, config, lens=lens, store=store, progress=progress)
+    blurred = calibrate_blur(start, session, selected, config, lens=lens, cache=cache, progress=progress)
     moves = lens_moves(blurred.camera)
     matched = dataclasses.replace(blurred.camera, channel_moves_px=moves)
     if moves is not None:
-        boards = measure_again(boards, session, matched, store=store, progress=progress)
+        boards = measure_again(boards, session, matched, cache=cache, progress=progress)
         selected = dataclasses.replace(selected, boards=boards)
-    rendered = rendered_nonlinearity(matched, session, selected, config, store=store, progress=progress)
+    rendered = rendered_nonlinearity(matched, session, selected, config, cache=cache, progress=progress)
     evidence = dataclasses.replace(selected, rendered=rendered)
     curves = shifted if moves is None and not rendered else fit_curves(evidence, config, progress=progress)
-    steps = _Steps(session, config, tone_notes, sheets, pinhole, placed, evidence, curves, blurred)
-    depth = {**with_accurate(curves, draft.design), "accurate": blurred.camera.depth["accurate"]}
-    depth = {quality: with_scale_error(curve, steps.tone) for quality, curve in depth.items()}
-    made_from = origin(
-        session.folder, steps.files, config, command=command, lens_from=lens_from, form=session.form,
-        developed=sheets.developed,
-    )  # fmt: skip
-    camera = assemble_camera(
-        session, sheets, placed.intrinsics, depth, config, blur=blurred.camera.blur, channel_moves_px=moves,
-        provenance=made_from | steps.figures,
-    )  # fmt: skip
-    return steps.result(camera)
+    fields = {**with_accurate(curves, draft.design), "accurate": blurred.camera.depth["accurate"]}
+    depth = {quality: with_scale_error(field, _tone_error(session)) for quality, field in fields.items()}
+    residuals = {quality: curve.residual_px.astype(np.float32) for quality, curve in curves.items()}
+    of_steps = [step.notes for step in (sheets, pinhole, placed, blurred)] + [curve.notes for curve in curves.values()]
+    fits = {quality: curve.fit for quality, curve in curves.items()}
+    result = CalibrationResult(
+        calibration=assemble_camera(
+            session, sheets, placed.intrinsics, depth, config, blur=blurred.camera.blur, channel_moves_px=moves
+        ),
+        fits=fits,
+        notes=(*tone_notes, *chain(*of_steps), *_weaknesses(session, evidence, fits)),
+        session=dataclasses.replace(session),  # without the boards that it keeps
+        residual_px=residuals,
+        pixel_sigma_px={quality: pixel_sigma(residual) for quality, residual in residuals.items()},
+        intrinsics=placed.intrinsics,
+        tilts={path.name: pinhole.corners[path] for path in session.tilts if path in pinhole.corners},
+        evidence=evidence,
+        layers=blurred.layers,
+        config=config,
+    )
+    made_from = origin(session, sheets, config, command=command, lens_from=lens_from)
+    camera = dataclasses.replace(result.calibration, provenance=made_from | _figures(result))
+    return dataclasses.replace(result, calibration=camera)
 
 
 def _at_size_of(session: Session, lens_from: Calibration | None) -> Calibration | None:
@@ -151,87 +167,29 @@ def _at_size_of(session: Session, lens_from: Calibration | None) -> Calibration 
     return resized(lens_from, *size) if full else lens_from
 
 
-@dataclass(frozen=True)
-class _Steps:
-    """What the steps returned, and what the camera file and the result hold of it."""
+def _weaknesses(session: Session, evidence: Evidence, fits: Mapping[Quality, DepthFit]) -> tuple[str, ...]:
+    """Return a sentence for a tone curve that is not known, for every outlier, and for what the boards do not tell."""
+    tone, notes = _tone_error(session), [*evidence.outliers.values()]
+    if tone:
+        says = f"decoded light grows with the power 1 +- {session.tone_error:.2f} of the exposure: "
+        notes.insert(0, f"{says}every error bar allows for {tone:.1%} of the disparity")
+    return (*notes, *weaknesses(evidence, fits, at_infinity=session.focuses_at_infinity))
 
-    session: Session
-    config: CalibrationConfig
-    tone_notes: tuple[str, ...]
-    sheets: WhiteSheets
-    pinhole: Pinhole
-    placed: PlacedBoards
-    evidence: Evidence
-    curves: Mapping[Quality, FittedCurve]
-    blurred: BlurredCamera
 
-    @property
-    def fits(self) -> dict[Quality, DepthFit]:
-        return {quality: curve.fit for quality, curve in self.curves.items()}
-
-    @property
-    def tone(self) -> float:
-        return _tone_error(self.session)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        curves = (note for curve in self.curves.values() for note in curve.notes)
-        parts = (self.sheets, self.pinhole, self.placed, self.blurred)
-        steps = (*self.tone_notes, *(note for part in parts for note in part.notes), *curves)
-        if self.tone:
-            steps = (*steps, f"decoded light grows with the power 1 +- {self.session.tone_error:.2f} of the exposure: "
-                     f"every error bar allows for {self.tone:.1%} of the disparity")  # fmt: skip
-        return (
-            *steps,
-            *self.evidence.outliers.values(),
-            *weaknesses(self.evidence, self.fits, at_infinity=self.session.focuses_at_infinity),
-        )
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """Everything that was read."""
-        texts = (self.session.folder / name for name in ("session.toml", "distances.csv"))
-        return (*texts, *self.session.boards, *self.session.tilts, *self.sheets.files)
-
-    @property
-    def figures(self) -> dict[str, Any]:
-        """Figures of the fit for the camera file."""
-        intrinsics, residuals = self.placed.intrinsics, self.fits["real-time"].residual_mm
-        return {
-            MATCHED_SIZE: [self.session.sensor.width_px, self.session.sensor.height_px],
-            "field_degree": degree_of(len(self.curves["real-time"].field.scale_px_mm)),
-            "intrinsics_rms_px": intrinsics.rms_px if intrinsics else None,
-            "rms_on_axis_mm": {quality: round(fit.rms_mm, 2) for quality, fit in self.fits.items()},
-            "boards": [
-                {"file": board.name, "ruler_mm": float(board.ruler_mm), "residual_mm": round(float(residual), 2)}
-                for board, residual in zip(self.evidence.boards, residuals, strict=True)
-            ],
-            "notes": list(self.notes),
-        }
-
-    def result(self, camera: Calibration) -> CalibrationResult:
-        width, height, distances = camera.sensor.width_px, camera.sensor.height_px, self.placed.distances
-        residuals = {quality: curve.residual_px.astype(np.float32) for quality, curve in self.curves.items()}
-        corners = self.pinhole.corners
-        return CalibrationResult(
-            calibration=camera,
-            fits=self.fits,
-            boards=self.evidence.boards,
-            notes=self.notes,
-            session=self.session,
-            grid_x_px=grid(width, width),
-            grid_y_px=grid(height, width),
-            residual_px=residuals,
-            pixel_sigma_px={quality: pixel_sigma(residual) for quality, residual in residuals.items()},
-            intrinsics=self.placed.intrinsics,
-            tilts={path.name: corners[path] for path in self.session.tilts if path in corners},
-            ruler=distances if np.isfinite(distances.residual_mm).any() else None,
-            ruler_residual_mm=distances.residual_mm,
-            outliers=self.evidence.outliers,
-            evidence=self.evidence,
-            layers=self.blurred.layers,
-            config=self.config,
-        )
+def _figures(result: CalibrationResult) -> dict[str, Any]:
+    """Figures of the fit for the camera file."""
+    sensor, residuals = result.calibration.sensor, result.fits["real-time"].residual_mm
+    return {
+        MATCHED_SIZE: [sensor.width_px, sensor.height_px],
+        "field_degree": degree_of(len(result.calibration.depth["real-time"].scale_px_mm)),
+        "intrinsics_rms_px": result.intrinsics.rms_px if result.intrinsics else None,
+        "rms_on_axis_mm": {quality: round(fit.rms_mm, 2) for quality, fit in result.fits.items()},
+        "boards": [
+            {"file": board.name, "ruler_mm": float(board.ruler_mm), "residual_mm": round(float(residual), 2)}
+            for board, residual in zip(result.boards, residuals, strict=True)
+        ],
+        "notes": list(result.notes),
+    }
 
 
 def _tone_error(session: Session) -> float:

@@ -8,19 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.calibration.assemble_camera import curve_without_blur
-from chromaperture.calibration.board_distances import BoardDistances, find_outliers
-from chromaperture.calibration.calibration_config import DEFAULT, CalibrationConfig
-from chromaperture.calibration.choose_curve import ranked_curves
-from chromaperture.calibration.fit_curve import DepthFit, fit_depth_model
-from chromaperture.calibration.fit_fields import check_scale, fit_depth_field
-from chromaperture.calibration.fit_local_fields import with_local
-from chromaperture.calibration.progress import Progress, reported, silent
+from chromaperture.calibration.fit_fields import (
+    DepthFit,
+    check_scale,
+    fit_depth_field,
+    fit_depth_model,
+    ranked_curves,
+    with_local,
+)
+from chromaperture.calibration.options import DEFAULT, CalibrationConfig, Progress, reported, silent
+from chromaperture.calibration.place_boards import BoardDistances, find_outliers
 from chromaperture.calibration.read_boards import MEASURED, BoardMeasurement, grid
+from chromaperture.color.unmixing import mixes_three_views
 from chromaperture.depth.conversion import depth_to_disparity, disparity_to_depth
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.model.camera_parts import CameraSensor
+from chromaperture.optics.aperture import design_named
 from chromaperture.settings.methods import Quality
 from chromaperture.system.errors import InputError
 from chromaperture.system.robust import robust_sigma
@@ -117,10 +121,7 @@ def with_accurate(curves: Mapping[Quality, FittedCurve], design: str) -> dict[Qu
 def fit_curve(evidence: Evidence, quality: Quality, config: CalibrationConfig = DEFAULT) -> FittedCurve:
     """Fit fields over the frame and the matcher's nonlinearity, or one curve where the boards are too few.
 
-    Raises
-    ------
-    InputError
-        The boards do not determine even one curve.
+    Raises InputError where the boards do not determine even one curve.
     """
     sensor, boards = evidence.sensor, evidence.boards
     size = (sensor.width_px, sensor.height_px)
@@ -200,3 +201,8 @@ def weaknesses(evidence: Evidence, fits: Mapping[Quality, DepthFit], *, at_infin
         sigma = relative * float(model.in_focus_mm)
         found.append(f"the in-focus distance is known to {sigma:.0f} mm only: photograph more boards, near and far")
     return tuple(found)
+
+
+def curve_without_blur(design: str) -> Quality:
+    """Return the quality whose curve serves ``accurate`` without a lens blur: the one that matches the same views."""
+    return "real-time" if mixes_three_views(design_named(design)) else "paper"

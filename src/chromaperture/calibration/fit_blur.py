@@ -9,17 +9,18 @@ followed the parameters, more blur would always fit better, because it suppresse
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, fields
+from functools import cache, partial
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 import scipy.fft
 
-from chromaperture.calibration.calibration_config import DEFAULT
-from chromaperture.calibration.progress import Progress, reported, silent
+from chromaperture.calibration.options import DEFAULT, Progress, reported, silent
 from chromaperture.matching.readable.tiles import without_shading
-from chromaperture.optics.lens_blur import BlurModel, LensBlur
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, displacements
 from chromaperture.system.errors import InputError
 from chromaperture.system.threads import parallel_map
 
@@ -37,8 +38,7 @@ _LEAST_POWER = np.float32(1e-5)  # added to S, against division by 0
 _LEAST_CONTRAST = 1e-3  # standard deviation, white level = 1: less is paper without print
 _FLOOR = 0.02  # of a tile's power: residuals below are not fitted further, because the blur varies within a tile
 # Of the middle's light that every corner keeps: where rims close there are no rays to trace. A lens that loses four
-# f-stops at the corners keeps .06. The whole step is refused: with the rims held and the rest moved, the aberrations of
-# a session of boards through an achromat ran away (walls 10 to 17 % too far, 2 to 3 % so).
+# f-stops at the corners keeps .06. The whole step is refused: with the rims held the aberrations can run away.
 _LEAST_LIGHT = 0.03
 _PRIOR = 5e-3  # weight of the priors; strong ones stop the fit halfway from spherical aberration to defocus
 _FIRST_DAMPING, _LEAST_DAMPING, _DAMPING_STEP, _TRIES = 1e-3, 1e-6, 8.0, 6  # of Levenberg and Marquardt, no unit
@@ -56,6 +56,11 @@ class _Tile:
     y_px: float
     inverse_mm: float
     spectrum: np.ndarray
+
+    @property
+    def size(self) -> int:
+        """Its side."""
+        return self.spectrum.shape[1]
 
 
 @dataclass(frozen=True)
@@ -78,21 +83,8 @@ def fit_blur(
 ) -> BlurFit:
     """Fit all parameters of the blur: the important ones, then all, then all to all tiles.
 
-    Parameters
-    ----------
-    boards : iterable of ((H, W, 3) float32, float)
-        Linear photographs and 1 / z of their board, z from the entrance pupil in mm. Iterated over once.
-    start : LensBlur
-        Focus and scale to 20 %; aberrations may be 0.
-    board_count : int
-    tile_count : int
-        Tiles of all boards together; see `CalibrationConfig`.
-    progress : callable, optional
-
-    Raises
-    ------
-    InputError
-        No board, or none with texture.
+    ``boards`` yields photographs, (H, W, 3) float32, with 1 / z of their board, z from the entrance pupil in mm, once.
+    ``start`` has focus and scale to 20 %; aberrations may be 0. Raises InputError without a board that has texture.
     """
     per_board = max(_LEAST_TILES, math.ceil(tile_count / max(board_count, 1)))
     size, tiles = _tile_size(start), []
@@ -139,6 +131,7 @@ def _cut(image: np.ndarray, inverse_mm: float, size: int, count: int, *, seed: i
     return tiles
 
 
+@cache
 def _whitening(size: int) -> np.ndarray:
     """Return the filter that makes power that falls with the square of frequency white, within a pass band."""
     w2 = (2 * np.pi * scipy.fft.fftfreq(size))[:, None] ** 2 + (2 * np.pi * scipy.fft.rfftfreq(size)) ** 2
@@ -151,35 +144,49 @@ def _weighted_pairs(blur: LensBlur) -> list[tuple[int, int, float]]:
     return [(a, b, blur.separations[a, b]) for a, b in (*blur.pairs, *blur.other_pairs)]
 
 
-def _power(transfer: np.ndarray, a: int, b: int) -> np.ndarray:
-    return np.asarray((np.abs(transfer[a]) ** 2 + np.abs(transfer[b]) ** 2) / 2)
+def _squares(transfer: np.ndarray) -> list[np.ndarray]:
+    """Return |H|^2 of every channel."""
+    return list(np.abs(transfer) ** 2)
+
+
+def _taper(blur: LensBlur, squares: Sequence[np.ndarray], white: np.ndarray) -> list[np.ndarray]:
+    """Return the filters of a tile's pairs that are constant during a step."""
+    powers = ((squares[a] + squares[b]) / 2 for a, b, _ in _weighted_pairs(blur))
+    return [white * np.sqrt(p / (p + _DAMPING)) for p in powers]
 
 
 def _tapers(blur: LensBlur, tiles: Sequence[_Tile]) -> list[list[np.ndarray]]:
-    """Return the filters of every tile and pair that are constant during a step."""
-    white = _whitening(tiles[0].spectrum.shape[1])
+    """Return `_taper` of every tile."""
+    white = _whitening(tiles[0].size)
 
     def one(tile: _Tile) -> list[np.ndarray]:
-        transfer = blur.transfer(tile.x_px, tile.y_px, tile.inverse_mm, tile.spectrum.shape[1])
-        powers = (_power(transfer, a, b) for a, b, _ in _weighted_pairs(blur))
-        return [white * np.sqrt(p / (p + _DAMPING)) for p in powers]
+        return _taper(blur, _squares(blur.transfer(tile.x_px, tile.y_px, tile.inverse_mm, tile.size)), white)
 
     return parallel_map(one, tiles)
 
 
+def _pair_residual(
+    tile: _Tile, transfer: np.ndarray, squares: Sequence[np.ndarray], pair: tuple[int, int, float], edge: np.ndarray
+) -> np.ndarray:
+    """Return the weighted difference of two cross-filtered channels in a tile's core; (core, core) float32."""
+    (a, b, weight), size = pair, tile.size
+    core = slice((size - _CORE_PX) // 2, (size + _CORE_PX) // 2)
+    both = np.empty((2, *edge.shape), np.complex64)
+    np.multiply(tile.spectrum[a], transfer[b], out=both[0])
+    np.multiply(tile.spectrum[b], transfer[a], out=both[1])
+    both *= edge / np.sqrt((squares[a] + squares[b]) / 2 + _LEAST_POWER)
+    # As `irfft2`, without the rows outside the core.
+    rows = scipy.fft.ifft(both, axis=1, norm="forward", overwrite_x=True)[:, core]
+    seen = scipy.fft.irfft(rows, size, axis=2, norm="forward")[..., core] * np.float32(1 / size**2)
+    seen /= np.sqrt((seen**2).sum(axis=(1, 2), keepdims=True)) + np.float32(1e-12)
+    return np.asarray((seen[0] - seen[1]) * np.float32(math.sqrt(weight)))
+
+
 def _residual(blur: LensBlur, tile: _Tile, taper: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the difference of a tile's cross-filtered channels in its core; (pairs * core * core,) float32."""
-    size = tile.spectrum.shape[1]
-    margin = (size - _CORE_PX) // 2
-    transfer = blur.transfer(tile.x_px, tile.y_px, tile.inverse_mm, size)
-    out = []
-    for (a, b, weight), edge in zip(_weighted_pairs(blur), taper, strict=True):
-        q = edge / np.sqrt(_power(transfer, a, b) + _LEAST_POWER)
-        both = scipy.fft.irfft2(np.stack([tile.spectrum[a] * transfer[b] * q, tile.spectrum[b] * transfer[a] * q]))
-        both = both[:, margin : margin + _CORE_PX, margin : margin + _CORE_PX]
-        both /= np.sqrt((both**2).sum(axis=(1, 2), keepdims=True)) + np.float32(1e-12)
-        out.append((both[0] - both[1]) * np.float32(math.sqrt(weight)))
-    return np.stack(out).ravel()
+    """Return the differences of all pairs of a tile; (pairs * core * core,) float32."""
+    transfer = blur.transfer(tile.x_px, tile.y_px, tile.inverse_mm, tile.size)
+    squares, pairs = _squares(transfer), _weighted_pairs(blur)
+    return np.stack([_pair_residual(tile, transfer, squares, *each) for each in zip(pairs, taper, strict=True)]).ravel()
 
 
 def _cost(blur: LensBlur, tiles: Sequence[_Tile], tapers: Sequence[list[np.ndarray]]) -> np.ndarray:
@@ -190,40 +197,77 @@ def _cost(blur: LensBlur, tiles: Sequence[_Tile], tapers: Sequence[list[np.ndarr
     return np.array(parallel_map(one, range(len(tiles))))
 
 
+class _Linearised(NamedTuple):
+    """A tile's cost, its second and first derivatives by the parameters, and its `_taper`."""
+
+    cost: float
+    square: np.ndarray
+    slope: np.ndarray
+    taper: list[np.ndarray]
+
+
+def _linearised(blur: LensBlur, moved: Mapping[str, tuple[LensBlur, float]], tile: _Tile) -> _Linearised:
+    """Linearise a tile's residual; ``moved`` has for every parameter the blur with it moved, and the step.
+
+    Most of the time of a calibration is spent here. What a parameter leaves as it is, exactly, is not computed again:
+    the rays' places by a rim, their light by anything else, pairs of channels by the colour of the third.
+    """
+    pairs, position = _weighted_pairs(blur), blur.frame_position(tile.x_px, tile.y_px)
+    rays = blur.rays(tile.x_px, tile.y_px)
+    transfer = blur.transfer_of(rays, tile.inverse_mm, tile.size)
+    squares = _squares(transfer)
+    taper = _taper(blur, squares, _whitening(tile.size))
+    residual = np.stack([_pair_residual(tile, transfer, squares, *each) for each in zip(pairs, taper, strict=True)])
+    jacobian = np.zeros((len(moved), *residual.shape), np.float32)
+    for row, (name, (other, step)) in zip(jacobian, moved.items(), strict=True):
+        colors = (0,) if "red" in name else (2,) if "blue" in name else (0, 1, 2)
+        if "rim" in name:
+            bent = rays._replace(light=other.ray_weights(position))
+            if np.array_equal(bent.light, rays.light):
+                continue
+        else:
+            points = rays.at_infinity_px.copy()
+            points[list(colors)] = displacements(other.model, other.pupil.points, position, 0.0, colors)
+            bent = rays._replace(at_infinity_px=points)
+        there = other.transfer_of(bent, tile.inverse_mm, tile.size)
+        # A channel beside that of the colour can change, too, by rounding: two are transformed at once.
+        same = [len(colors) == 1 and np.array_equal(one, two) for one, two in zip(there, transfer, strict=True)]
+        others = [squares[k] if same[k] else np.abs(there[k]) ** 2 for k in range(3)]
+        for i, pair in enumerate(pairs):
+            if not (same[pair[0]] and same[pair[1]]):
+                row[i] = (_pair_residual(tile, there, others, pair, taper[i]) - residual[i]) / step
+    flat, rows = residual.ravel(), jacobian.reshape(len(moved), -1)
+    return _Linearised(float(flat @ flat), rows @ rows.T, rows @ flat, taper)
+
+
 def _gauss_newton(
     start: LensBlur, tiles: Sequence[_Tile], names: Sequence[str], *, rounds: int, tolerance: float
 ) -> LensBlur:
     """Minimise the sum of the logarithms of the tiles' costs, which limits outliers, by Levenberg and Marquardt."""
     free = np.array([NAMES.index(name) for name in names])
-    steps, priors = _steps(start.model), _priors(start.model)
+    steps, prior = _steps(start.model), _PRIOR / _priors(start.model)[free] ** 2
     origin = np.array(astuple(start.model))
     blur, damping = start, _FIRST_DAMPING
     for _ in range(rounds):
-        tapers = _tapers(blur, tiles)
         values = np.array(astuple(blur.model))
-
-        def linearised(i: int) -> tuple[float, np.ndarray, np.ndarray]:
-            residual = _residual(blur, tiles[i], tapers[i])  # noqa: B023 - used within the round
-            jacobian = np.empty((len(free), residual.size), np.float32)
-            for row, p in enumerate(free):
-                moved = values.copy()  # noqa: B023
-                moved[p] += steps[p]
-                jacobian[row] = (_residual(_with(blur, moved), tiles[i], tapers[i]) - residual) / steps[p]  # noqa: B023
-            return float(residual @ residual), jacobian @ jacobian.T, jacobian @ residual
-
-        results = parallel_map(linearised, range(len(tiles)))
-        costs, squares, slopes = (np.array(part) for part in zip(*results, strict=True))
+        moved = {}
+        for name, p in zip(names, free, strict=True):
+            ahead = values.copy()
+            ahead[p] += steps[p]
+            moved[name] = (_with(blur, ahead), steps[p])
+        results = parallel_map(partial(_linearised, blur, moved), tiles)
+        costs, squares, slopes = (np.array([one[k] for one in results]) for k in range(3))
+        tapers = [one.taper for one in results]
         weights = 1 / np.maximum(costs, _FLOOR)
-        prior = _PRIOR / priors[free] ** 2
         matrix = np.einsum("i,ijk", weights, squares) + np.diag(prior)
         slope = weights @ slopes + prior * (values - origin)[free]
         unit = np.sqrt(np.diag(matrix))
         before = np.log(np.maximum(costs, _FLOOR)).sum()
         for _ in range(_TRIES):
             move = np.linalg.solve(matrix / np.outer(unit, unit) + damping * np.eye(len(free)), slope / unit) / unit
-            moved = values.copy()
-            moved[free] -= move
-            trial, after = _with(blur, moved), math.inf
+            tried = values.copy()
+            tried[free] -= move
+            trial, after = _with(blur, tried), math.inf
             if trial.least_light >= _LEAST_LIGHT:
                 after = np.log(np.maximum(_cost(trial, tiles, tapers), _FLOOR)).sum()
             if after < before:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -25,6 +26,11 @@ from chromaperture.calibration.session import Session
 from chromaperture.color.image import SATURATION
 from chromaperture.color.response import KNOTS, ResponseCurve, response_table
 from chromaperture.color.srgb import linear_to_srgb
+from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
+from chromaperture.optics.aperture import design_named, made_of
+from chromaperture.optics.psf import pupil_samples
+from chromaperture.system.errors import InputError
+from chromaperture.system.robust import MAD_TO_SIGMA
 
 _PHASES = 16  # points across a square; far squares are 10 px wide
 _FEWEST_SQUARES = 4  # of each colour, not saturated; chosen by hand
@@ -32,8 +38,7 @@ _BOARDS = 8  # that are read, the most blurred ones; chosen by hand
 _FEWEST_BOARDS = 2  # one may be lit unevenly; chosen by hand
 _DARKEST = 1e-4  # decoded value; below, 16 bits have 6 counts
 _CODE_SIGMA = 0.01  # sRGB code by which the points of simulated boards miss their curve: .0012 to .004
-# Weights of the prior, in standard deviations a knot for all points together: curves are smooth and near 1. Of 20
-# linear sessions, bench50's four among them, exponents are then within .04 of 1 where there are values.
+# Weights of the prior, in standard deviations a knot for all points together: curves are smooth and near 1.
 _SMOOTH, _NEAR_ONE = 0.03, 0.15
 _FLAT_SLOPE = 0.02  # of the mean slope, added to it: a curve without slope would explain everything; chosen by hand
 # Root mean square of exponent - 1 over the values of the boards: at most .024 of 20 linear sessions, .10 of JPEG files
@@ -45,6 +50,12 @@ _TONE_LEFT = 0.06  # rms of the exponents' error that is left: of the strong S-c
 _MOST_EXPONENT = 10.0  # limit of the fit, far beyond any camera's; chosen by hand
 _EIGHT_BITS = "the photographs have 8 bits a channel: linear files, as RAW, are more accurate"
 _ENCODED = {"srgb": "encoded by the sRGB curve", "linear": "linear, though their files usually are not"}
+LEAST_RATIO = 1.4  # of two exposures: half a stop; less, and q is known to 0.15 at best; chosen by hand
+_BLOCKS = 24  # along the shorter side of a picture, whose means are compared; chosen by hand
+_DARKEST_BLOCK = 0.01  # of full scale: below, 8 bits of sRGB have fewer than 25 counts; chosen by hand
+_FEWEST, _BINS = 12, 8  # blocks of a bin of levels; bins; chosen by hand
+_CONTRASTS = (1.001, 1.5, 2.0, 4.0, 8.0, 23.0)  # of edges; the last is black print, 0.04, on paper of 0.92
+_CELLS, _PLACES = 96, 1201  # across the pupil, and along an edge's profile; finer ones change 1e-4
 
 
 @dataclass(frozen=True)
@@ -57,23 +68,12 @@ class FoldedBoard:
 
 @dataclass(frozen=True)
 class FittedResponse:
-    """A response and how well it explains the boards.
-
-    Attributes
-    ----------
-    curve : ResponseCurve
-    deviation : float
-        Root mean square of exponent - 1 over the values of the boards.
-    exponents : (float, float)
-        Smallest and largest of them, 5th and 95th percentile.
-    misfit : float
-        Root mean square error of the boards' values by the curve, sRGB code.
-    """
+    """A response and how well it explains the boards."""
 
     curve: ResponseCurve
-    deviation: float
-    exponents: tuple[float, float]
-    misfit: float
+    deviation: float  # root mean square of exponent - 1 over the values of the boards
+    exponents: tuple[float, float]  # smallest and largest of them, 5th and 95th percentile
+    misfit: float  # root mean square error of the boards' values by the curve, sRGB code
 
 
 def with_response(session: Session, corners: Mapping[Path, np.ndarray]) -> tuple[Session, tuple[str, ...]]:
@@ -119,18 +119,9 @@ def folded_boards(session: Session, corners: Mapping[Path, np.ndarray]) -> list[
 
 
 def fold_board(image: np.ndarray, corners_px: np.ndarray, inner_corners: tuple[int, int]) -> FoldedBoard | None:
-    """Average a photographed chessboard over its squares of either colour.
+    """Average a chessboard, (H, W, 3) float32 as decoded, over its squares of either colour.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, as decoded
-    corners_px : (N, 2) float, as `find_corners` returns them
-    inner_corners : (columns, rows)
-
-    Returns
-    -------
-    FoldedBoard or None
-        None where too few squares are not saturated.
+    None where too few squares are not saturated. ``corners_px`` are those of `find_corners`.
     """
     columns, rows = inner_corners
     grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), -1).reshape(-1, 2).astype(np.float32)
@@ -185,3 +176,106 @@ def fit_response(boards: Sequence[FoldedBoard]) -> FittedResponse:
         curve, float(np.sqrt(np.mean((exponents - 1) ** 2))), (float(low), float(high)),
         float(np.sqrt(np.mean(errors(fit.x) ** 2))),
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ToneCurve:
+    """The local exponent q of decoded values by their level."""
+
+    level: np.ndarray  # (N,) float64: geometric mean of the values of both exposures, of full scale
+    exponent: np.ndarray  # (N,) float64: log ratio of the values over that of the exposures; 1 where light is linear
+    scatter: float  # of single blocks about the exponent of their level: large where the scene or the light changed
+
+    @property
+    def error(self) -> float:
+        """Root mean square of exponent - 1 over the levels."""
+        return float(np.sqrt(np.mean((self.exponent - 1) ** 2)))
+
+
+def measure_tone(shorter: np.ndarray, longer: np.ndarray, exposure_ratio: float) -> ToneCurve:
+    """Measure the exponent of decoded values by one scene, (H, W, 3) linear as decoded, at two exposures.
+
+    Where values are u = L^q of the light L, the ratio of two exposures k apart is k^q at every level; a curve that was
+    decoded wrongly in another way has another q at each level, and vignetting shows many levels in one picture.
+    Constant ratios are no proof: q needs the exposures, which a camera states to some 5 %, so that q is known to
+    0.05 / ln k. Raises InputError for other sizes, exposures that hardly differ, or too little to compare.
+    """
+    if shorter.shape != longer.shape:
+        raise InputError("the two exposures have different sizes; take both with the same settings")
+    if not exposure_ratio >= LEAST_RATIO:
+        raise InputError(
+            f"the exposures differ by a factor of {exposure_ratio:.2f} only; take one at half or a quarter of the other"
+        )
+    low, high = _blocks(shorter), _blocks(longer)
+    usable = (low > _DARKEST_BLOCK) & np.isfinite(high) & (high > 0)
+    if usable.sum() < _FEWEST:
+        raise InputError("too little of the picture is neither dark nor too bright in both exposures; expose less, or "
+                         "light the sheet more")  # fmt: skip
+    logs = np.log(high[usable] / low[usable]) / np.log(exposure_ratio)
+    level = np.sqrt(high[usable] * low[usable])
+    edges = np.geomspace(level.min(), level.max() * (1 + 1e-9), _BINS + 1)
+    bins = np.clip(np.searchsorted(edges, level, side="right") - 1, 0, _BINS - 1)
+    filled = [i for i in range(_BINS) if (bins == i).sum() >= _FEWEST]
+    if not filled:
+        filled, bins = [0], np.zeros_like(bins)
+    exponent = np.array([np.median(logs[bins == i]) for i in filled])
+    middle = np.array([np.exp(np.log(level[bins == i]).mean()) for i in filled])
+    residual = logs - np.interp(np.log(level), np.log(middle), exponent)
+    return ToneCurve(middle, exponent, float(MAD_TO_SIGMA * np.median(np.abs(residual))))
+
+
+def _blocks(image: np.ndarray) -> np.ndarray:
+    """Return the means of square blocks in each channel, NaN where a pixel is saturated; (N, 3) float64."""
+    side = max(min(image.shape[:2]) // _BLOCKS, 1)
+    rows, columns = image.shape[0] // side, image.shape[1] // side
+    parts = np.asarray(image[: rows * side, : columns * side], float).reshape(rows, side, columns, side, 3)
+    means = parts.mean(axis=(1, 3))
+    means[parts.max(axis=(1, 3)) >= SATURATION] = np.nan
+    return np.asarray(means.reshape(-1, 3))
+
+
+def disparity_error(design: str, exponent_error: float) -> float:
+    """Return the relative error of disparities that calibration with the same wrong exponent leaves.
+
+    A wrong q separates views by the wrong powers. That displaces all edges by the same share of their disparity, which
+    calibration takes up. What is left depends on contrast, because the profile of an edge through the pupil bends with
+    it: the largest difference to faint edges, over contrasts, directions, and signs of ``exponent_error`` (0 to 1).
+    """
+    if not 0 <= exponent_error < 1:
+        raise InputError(f"the error of the tone curve's exponent must lie between 0 and 1, got {exponent_error:g}")
+    return 0.0 if exponent_error == 0 else max(_spread(design, 1 + s * exponent_error) for s in (1, -1))
+
+
+@lru_cache(maxsize=64)
+def _spread(design: str, exponent: float) -> float:
+    disparity = np.array([edge_disparity(design, exponent, m, s) for m in _CONTRASTS for s in (1, -1)])
+    faint = disparity[:2].mean()
+    return float(np.abs(disparity / faint - 1).max())
+
+
+def edge_disparity(design: str, exponent: float, contrast: float, direction: int) -> float:
+    """Return the half disparity of an edge whose light is decoded to the power of an exponent, in pupil radii.
+
+    The edge is seen by each channel through its part of the pupil, the views are separated with what white sheets
+    show at the same exponent, and each edge stands at the mean of its slope. ``direction`` is 1 where it is bright
+    after the edge, else -1; ``contrast`` that of the bright side to the dark one.
+    """
+    aperture = made_of(design_named(design), "real")
+    points, light = pupil_samples(aperture, _CELLS)
+    colors = np.array([aperture.filter_named(name).transmission for name in aperture.views])
+    rows = unmixing_rows(mixing_matrix(colors**exponent), len(aperture.views))
+    linear = light @ unmixing_rows(mixing_matrix(colors), len(aperture.views)).T
+    centres = points.T @ (linear / linear.sum(axis=0))
+    axis = centres[:, 0] - centres[:, -1]
+    order = np.argsort(points @ axis)
+    at, passed = (points @ axis)[order] / np.hypot(*axis), light[order]
+    places = np.linspace(-1.1, 1.1, _PLACES)
+    white = passed.sum(axis=0)
+    summed = np.cumsum(passed, axis=0) / np.maximum(white, 1e-12)
+    seen = np.stack([np.interp(places, at, summed[:, k], left=0.0, right=1.0) for k in range(3)], axis=1)
+    seen = seen if direction > 0 else 1 - seen
+    profile = ((1 + (contrast - 1) * seen) / contrast * white / white.max()) ** exponent @ rows.T
+    slope = np.diff(profile, axis=0)
+    middle = (places[1:] + places[:-1]) / 2
+    stands = (middle[:, None] * slope).sum(axis=0) / slope.sum(axis=0)
+    return float(stands[0] - stands[-1]) / 2

@@ -9,9 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from chromaperture.calibration.measurement_cache import Store
+from chromaperture.calibration.options import Cache, Progress, reported
 from chromaperture.calibration.place_boards import Pinhole, PlacedBoards
-from chromaperture.calibration.progress import Progress, reported
 from chromaperture.calibration.session import Session
 from chromaperture.camera.method import sensor_noise
 from chromaperture.color.image import SATURATION
@@ -55,13 +54,13 @@ def grid(count: int, width_px: int) -> np.ndarray:
 
 
 def measure_boards(
-    session: Session, draft: Calibration, pinhole: Pinhole, placed: PlacedBoards, *, store: Store, progress: Progress
+    session: Session, draft: Calibration, pinhole: Pinhole, placed: PlacedBoards, *, cache: Cache, progress: Progress
 ) -> list[BoardMeasurement]:
     """Match all boards of a session; photographs are not kept.
 
     ``draft`` has the true film and sensor; its depth curves only set the search range and may be off by 20 %.
     """
-    readings = _readings(session, draft, MEASURED, store=store, progress=progress)
+    readings = _readings(session, draft, MEASURED, cache=cache, progress=progress)
     boards = []
     for i, (path, kept) in enumerate(readings):
         boards.append(
@@ -79,7 +78,7 @@ def measure_boards(
 
 
 def measure_again(
-    boards: list[BoardMeasurement], session: Session, camera: Calibration, *, store: Store, progress: Progress
+    boards: list[BoardMeasurement], session: Session, camera: Calibration, *, cache: Cache, progress: Progress
 ) -> list[BoardMeasurement]:
     """Return boards whose disparity of "real-time" is measured with the camera's ``channel_moves_px``."""
     quality: Quality = "real-time"
@@ -91,13 +90,13 @@ def measure_again(
             grid_px={**board.grid_px, quality: kept[quality]},
         )
         for board, (_, kept) in zip(
-            boards, _readings(session, camera, (quality,), store=store, progress=progress), strict=True
+            boards, _readings(session, camera, (quality,), cache=cache, progress=progress), strict=True
         )
     ]
 
 
 def _readings(
-    session: Session, draft: Calibration, qualities: tuple[Quality, ...], *, store: Store, progress: Progress
+    session: Session, draft: Calibration, qualities: tuple[Quality, ...], *, cache: Cache, progress: Progress
 ) -> Iterator[tuple[Path, Mapping[str, np.ndarray]]]:
     """Yield every board's photograph and what `read_board` measures on it."""
     film = {name: color.tolist() for name, color in draft.film.filters.items()}
@@ -109,26 +108,16 @@ def _readings(
             return read_board(session.read(path), draft, qualities=qualities)
 
         what = ("board", draft.design, draft.sensor, film, configs, _COARSER_PX, _COARSER_MOVED_PX, moves)
-        yield path, store.arrays(path, what, measured)
+        yield path, cache.get(path, what, measured)
 
 
 def read_board(
     image: np.ndarray, draft: Calibration, *, qualities: tuple[Quality, ...] = MEASURED
 ) -> dict[str, np.ndarray]:
-    """Match a photograph of a board at every quality.
+    """Match a photograph of a board, (H, W, 3) float32, at every quality.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32
-    draft : Calibration
-        True film and sensor; depth curves to 20 %, which only set the search range.
-    qualities : tuple of str
-
-    Returns
-    -------
-    dict of str to array
-        By quality (h, w) disparities on the grid, px; by "QUALITY middle" the median about the axis and its standard
-        error, px.
+    ``draft`` has the true film and sensor; its depth curves, to 20 %, only set the search range. Returns by quality the
+    (h, w) disparities on the grid, px, and by "QUALITY middle" the median about the axis and its standard error.
     """
     noise = sensor_noise(image, draft)
     found = {}

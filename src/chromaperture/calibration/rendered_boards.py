@@ -12,13 +12,10 @@ from dataclasses import replace
 import numpy as np
 import scipy.fft
 
-from chromaperture.calibration.board_distances import BoardDistances
-from chromaperture.calibration.calibration_config import DEFAULT, CalibrationConfig
-from chromaperture.calibration.choose_curve import MANY_BOARDS, ranked_curves
 from chromaperture.calibration.curves import Evidence, thin
-from chromaperture.calibration.fit_fields import fit_depth_field
-from chromaperture.calibration.measurement_cache import Store
-from chromaperture.calibration.progress import Progress, reported, silent
+from chromaperture.calibration.fit_fields import MANY_BOARDS, fit_depth_field, ranked_curves
+from chromaperture.calibration.options import DEFAULT, Cache, CalibrationConfig, Progress, reported, silent
+from chromaperture.calibration.place_boards import BoardDistances
 from chromaperture.calibration.read_boards import MEASURED, grid, read_board
 from chromaperture.calibration.session import Session
 from chromaperture.camera.method import sensor_noise
@@ -39,26 +36,12 @@ def rendered_nonlinearity(
     evidence: Evidence,
     config: CalibrationConfig = DEFAULT,
     *,
-    store: Store | None = None,
+    cache: Cache | None = None,
     progress: Progress = silent,
 ) -> dict[Quality, Nonlinearity]:
-    """Measure the nonlinearity of the qualities that match shifted views.
+    """Measure the nonlinearity of the qualities that match shifted views, on boards between the nearest and farthest.
 
-    Parameters
-    ----------
-    camera : Calibration
-    session : Session
-    evidence : Evidence
-        Distances of the session's boards, and which to use; rendered ones lie between the nearest and the farthest.
-    config : CalibrationConfig
-    store : Store, optional
-        Cache of the measurements.
-    progress : callable, optional
-
-    Returns
-    -------
-    dict of quality to Nonlinearity
-        Without qualities whose curve is not monotonic; empty without a blur or with ``MANY_BOARDS``.
+    Without qualities whose curve is not monotonic; empty without a blur or with ``MANY_BOARDS``.
     """
     blur, count, used = camera.field_blur(), config.rendered_boards, evidence.used
     if blur is None or used.sum() >= MANY_BOARDS:
@@ -78,7 +61,7 @@ def rendered_nonlinearity(
             readings.append(read_board(image, camera))
         return {quality: np.stack([reading[quality] for reading in readings]) for quality in MEASURED}
 
-    kept = (store or Store()).arrays(
+    kept = (cache or Cache()).get(
         path, ("rendered", blur.model, steps.tolist(), camera.sensor, camera.channel_moves_px is None), read
     )
     exact = replace(
@@ -94,13 +77,7 @@ def rendered_nonlinearity(
 
 
 def surrogate(pattern: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return another pattern of the same mean and spectrum; (H, W) float32.
-
-    Parameters
-    ----------
-    pattern : (H, W) float
-    rng : numpy.random.Generator
-    """
+    """Return another pattern (H, W) of the same mean and spectrum; float32."""
     height, width = pattern.shape
     mean = float(pattern.mean())
     size = (2 * height, 2 * width)  # mirrored, it has no edge at the frame's border
@@ -111,19 +88,9 @@ def surrogate(pattern: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def render_board(blur: LensBlur, pattern: np.ndarray, inverse_mm: float) -> np.ndarray:
-    """Blur a flat pattern by the lens, whose blur varies over the frame.
+    """Blur a flat pattern (H, W) by the lens, whose blur varies over the frame; (H, W, 3) float32, in white light.
 
-    Parameters
-    ----------
-    blur : LensBlur
-    pattern : (H, W) float32
-        Sharp, as seen from the pupil's centre; of the size of the blur's frame.
-    inverse_mm : float, 1/mm
-        1 / z, z from the entrance pupil.
-
-    Returns
-    -------
-    (H, W, 3) float32, white light through an even film
+    The pattern is sharp, as seen from the pupil's centre; ``inverse_mm`` is 1 / z, z from the entrance pupil.
     """
     height, width = pattern.shape
     half = _HALF_TILE_PX

@@ -11,24 +11,27 @@ import math
 import os
 import warnings
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
 
-from chromaperture.calibration.board_distances import check_units
 from chromaperture.capture.files import format_of, read_light
 from chromaperture.capture.picture_format import PictureFormat
 from chromaperture.capture.shots import counted, photographs
 from chromaperture.color.encoding import Pattern, Siting, StatedFacts
 from chromaperture.color.image import is_saturated
+from chromaperture.color.unmixing import view_reach
+from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.paper_form import PaperParameters, paper_to_model
 from chromaperture.matching.working_scale import reduced
 from chromaperture.model.camera_parts import CameraSensor
 from chromaperture.model.scale import LEAST_SIDE_PX, SCALES, reduced_size, resized_sensor
 from chromaperture.optics.aperture import DESIGNS, design_named
 from chromaperture.system.errors import CaptureWarning, InputError
+from chromaperture.system.memory import available_bytes
 from chromaperture.system.validation import (
     LARGEST_SIDE,
     Name,
@@ -44,11 +47,14 @@ from chromaperture.system.validation import (
 # Px of a reduced photograph by which the widest blur of the boards displaces the pupil's edge, at least: bench50's
 # boards, which are not reduced, have 11.6. Their lens on 24 megapixels gets 1/8, as from `working_scale`.
 _WIDEST_PX = 10.0
+_KEPT_BYTES = 300e6  # of decoded boards: 66 of 24 megapixels at their working scale; chosen by hand
 _MOST_CSV_BYTES = 1_000_000  # of distances.csv: 20,000 boards
 
 # Name of the white sheet through a whole pupil of one filter; film without a name has none.
 SHEETS = {"cyan": "sheet_c", "yellow": "sheet_y", "magenta": "sheet_m", "red": "sheet_r", "green": "sheet_g",
           "blue": "sheet_b"}  # fmt: skip
+_UNITS = {"cm": 10.0, "m": 1000.0, "inches": 25.4, "feet": 304.8}  # mm
+_OTHER_UNIT = 5.0  # ratio of expected to given distance from which the unit is wrong: half that of cm
 
 
 @dataclass(frozen=True)
@@ -74,6 +80,7 @@ class Session:
     full_size_px: tuple[int, int] | None = None  # width and height of the photographs; None: those of ``sensor``
     tone_error: float = 0.0  # of the exponent by which decoded values grow with light, see `tone_curve`
     form: PictureFormat | None = None  # of the first board's file
+    _kept: dict[Path, np.ndarray] = field(default_factory=dict, init=False, repr=False, compare=False)  # see `read`
 
     @property
     def focuses_at_infinity(self) -> bool:
@@ -86,7 +93,19 @@ class Session:
         return self.full_size_px or (self.sensor.width_px, self.sensor.height_px)
 
     def read(self, path: Path) -> np.ndarray:
-        """Read one photograph of the session as linear light, at the size of `sensor`; (H, W, 3) float32."""
+        """Read one photograph of the session as linear light, at the size of `sensor`; (H, W, 3) float32.
+
+        Boards, which every step reads again, are kept as far as `_KEPT_BYTES` go; they are not to be written to.
+        """
+        if path in self._kept:
+            return self._kept[path]
+        image = self._decoded(path)
+        kept = sum(other.nbytes for other in self._kept.values())
+        if path in self.boards and kept + image.nbytes <= min(_KEPT_BYTES, available_bytes() / 4):
+            self._kept[path] = image
+        return image
+
+    def _decoded(self, path: Path) -> np.ndarray:
         expected = self.photograph_size_px
         width, height = format_of(path, self.sensor.encoding.stated).read_size_px
         if (width, height) != expected:
@@ -137,13 +156,7 @@ class Session:
 
 
 def read_session(folder: str | Path) -> Session:
-    """Read and check a session folder.
-
-    Raises
-    ------
-    InputError
-        A file or an entry is missing or invalid; the message names it.
-    """
+    """Read and check a session folder; raises InputError that names what is missing or invalid."""
     folder = Path(folder)
     settings = folder / "session.toml"
     if not os.path.isfile(settings):
@@ -286,3 +299,35 @@ def _distances(folder: Path) -> dict[Path, float]:
     if missing:
         raise InputError(f"{table} names photographs that are not there: {', '.join(missing[:5])}")
     return boards
+
+
+def check_units(ruler_mm: np.ndarray, expected_mm: np.ndarray | float, *, where: str) -> None:
+    """Raise InputError that names the unit of the distances in ``where``, if it is not mm.
+
+    ``expected_mm`` are rough distances from poses or from the focus; NaN is left out.
+    """
+    ratios = np.asarray(expected_mm, float) / np.asarray(ruler_mm, float)
+    ratios = ratios[np.isfinite(ratios)]
+    ratio = float(np.median(ratios)) if ratios.size else 1.0
+    if ratio < _OTHER_UNIT:
+        return
+    unit = min(_UNITS, key=lambda name: abs(np.log(_UNITS[name] / ratio)))
+    raise InputError(
+        f"{where}: the distances look like {unit}, they are {ratio:.0f} times too small for mm; write them in mm"
+    )
+
+
+def nominal_depth_model(session: Session) -> DepthModel:
+    """Return the thin-lens curve of the engraved focal length and f-number, for search ranges and start values."""
+    f = session.nominal_focal_length_mm
+    z_focus = session.focused_at_about_mm - f  # from the pupil, about
+    if z_focus <= f:
+        raise InputError(f"focused_at_about_mm = {session.focused_at_about_mm:g} lies inside the focal length")
+    image_distance = f / (1 - f / z_focus)  # f for a lens focused at infinity
+    parameters = PaperParameters(
+        in_focus_mm=z_focus + image_distance,
+        baseline_mm=view_reach(design_named(session.design)) * f / session.nominal_f_number,  # b = 2 r_c
+        sensor_to_pupil_mm=image_distance,
+        focal_length_mm=f,
+    )
+    return paper_to_model(parameters, pixel_pitch_mm=session.sensor.pixel_pitch_mm)

@@ -21,52 +21,29 @@ _UNKNOWN = '"?"'  # reading it back is an error that names the entry
 class PlannedSession:
     """What is known before the session; None is left for the user to fill in.
 
-    Attributes
-    ----------
-    design : str
-        Name of the aperture.
-    nearest_mm, farthest_mm, focus_mm : float
-        Of the boards and of the focus, from the sensor plane; the focus is inf for a lens focused at infinity.
-    distances, tilts : int
-        Photographs of the board square to the axis, and leaning.
-    inner_corners : (int, int)
-        Columns and rows of the chessboard.
-    square_mm : float
-    suffix : str
-        Of the photographs, such as ".png".
-    size_px : (int, int), optional
-        Width and height of a photograph as it is read.
-    sensor_width_mm, focal_length_mm, f_number : float, optional
-    black_level, white_level : float, optional
-        Counts of no light and of a full pixel.
-    mosaic : str, optional
-        Bayer pattern of grey files.
-    tone_error : float, optional
-        Error of the exponent by which decoded values grow with light, where two exposures showed it.
-
-    Raises
-    ------
-    InputError
-        The distances do not enclose a finite focus, or the boards are fewer than two.
+    Raises InputError where the distances do not enclose a finite focus, or the boards are fewer than two.
     """
 
     design: str
+    # Of the boards and of the focus, from the sensor plane; the focus is inf for a lens focused at infinity
     nearest_mm: float
     farthest_mm: float
     focus_mm: float
-    distances: int = 12
-    tilts: int = 12
-    inner_corners: tuple[int, int] = (9, 6)
+    distances: int = 12  # photographs of the board square to the axis
+    tilts: int = 12  # and leaning
+    inner_corners: tuple[int, int] = (9, 6)  # columns and rows
     square_mm: float = 30.0
     suffix: str = ".png"
-    size_px: tuple[int, int] | None = None
+    size_px: tuple[int, int] | None = None  # width and height of a photograph as it is read
     sensor_width_mm: float | None = None
     focal_length_mm: float | None = None
     f_number: float | None = None
-    black_level: float | None = None
-    white_level: float | None = None
-    mosaic: str | None = None
-    tone_error: float | None = None
+    black_level: float | None = None  # counts of no light
+    white_level: float | None = None  # and of a full pixel
+    mosaic: str | None = None  # Bayer pattern of grey files
+    tone_error: float | None = (
+        None  # of the exponent by which decoded values grow with light, if two exposures showed it
+    )
 
     def __post_init__(self) -> None:
         beyond = self.focus_mm < self.farthest_mm or math.isinf(self.focus_mm)

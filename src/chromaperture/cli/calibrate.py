@@ -51,7 +51,7 @@ def calibrate(
     docs/calibration-session.md shows how the folder is laid out.
     """
     from chromaperture.calibration.calibrate_session import calibrate_session
-    from chromaperture.calibration.calibration_config import CalibrationConfig
+    from chromaperture.calibration.options import CalibrationConfig
     from chromaperture.cli.console import after_compilation, print_files, print_json, progress, say_warning
     from chromaperture.evaluation.accurate_noise import with_accurate_noise
     from chromaperture.evaluation.verdict import unusable

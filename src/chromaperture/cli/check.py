@@ -22,7 +22,7 @@ from chromaperture.cli.options import (
 from chromaperture.system.errors import CaptureWarning, InputError
 
 if TYPE_CHECKING:
-    from chromaperture.evaluation.health import Check
+    from chromaperture.evaluation.checks import Check
 
 _STYLES = {"ok": "green", "warn": "bold red", "cannot tell": "dim"}
 
@@ -63,7 +63,8 @@ def check(
     from chromaperture.camera.camera import CodedApertureCamera
     from chromaperture.capture.exif import other_colours, read_exif
     from chromaperture.cli.setup import stated_facts, with_stated
-    from chromaperture.evaluation.health import Check, check_camera, outcome
+    from chromaperture.evaluation.checks import Check
+    from chromaperture.evaluation.health import check_camera, outcome
     from chromaperture.model.camera_file import Calibration
     from chromaperture.model.camera_parts import Board
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
-from chromaperture.calibration.progress import Progress, reported, silent
+from chromaperture.calibration.options import Progress, reported, silent
 from chromaperture.calibration.read_boards import pixel_sigma
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config

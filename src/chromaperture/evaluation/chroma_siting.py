@@ -19,7 +19,7 @@ from chromaperture.capture.shots import VIDEOS
 from chromaperture.color.encoding import SITINGS, Siting, StatedFacts
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import depth_to_disparity, disparity_to_depth
-from chromaperture.evaluation.health import Check
+from chromaperture.evaluation.checks import Check
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import centroids
 from chromaperture.system.errors import InputError

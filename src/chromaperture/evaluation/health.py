@@ -6,8 +6,7 @@ disparity there must be the one that the camera file predicts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,17 +15,16 @@ from chromaperture.calibration.fit_response import fit_response, fold_board
 from chromaperture.camera.method import sensor_noise
 from chromaperture.capture.exif import Exif
 from chromaperture.color.film import FilmMatch, match_film
-from chromaperture.color.image import SATURATION, checked_image
+from chromaperture.color.image import checked_image
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import depth_to_disparity
+from chromaperture.evaluation.checks import TINT, Check, Exposure, is_healthy, is_uneven
 from chromaperture.evaluation.tint import measure_tint
 from chromaperture.matching.estimate import estimate_disparity
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Board
 from chromaperture.settings.methods import Quality, preset
 from chromaperture.system.errors import InputError
-
-Verdict = Literal["ok", "warn", "cannot tell"]
 
 # Names of the checks.
 _FILM, _TINT, _LIGHT, _DISTANCE, _ORIENTATION = (
@@ -43,24 +41,10 @@ _FAR_FROM_FOCUS_PX = 0.4  # expected disparity below which a turned filter is wi
 _TURNED_TOLERANCE_PX = 0.35  # from the mirrored disparity: the bias is larger with the wrong layout of the filter
 _DEPTH_TOLERANCE = 0.02
 _SQUARE_TOLERANCE = 0.02  # of the square's side: poses behind blur err by 1 %; the disparity's tolerance is added
-_TINT_TOLERANCE = 0.10  # change of a channel ratio from the middle of the frame to its edge
 # Rms error of the exponents: single boards of four linear sessions have at most .10, of files with a tone curve .33.
 _TONE_TOLERANCE = 0.2
-_SATURATED = 0.02  # fraction of the pixels above which the exposure is too long
-_DARK = 0.05  # 99th percentile, of the white level, below which noise dominates
 _SEARCH_MARGIN_PX = 1.5  # beyond the calibrated disparities: a refocused camera has others
 _LEAST_MEASURED = 0.25  # fraction of the board's pixels that must have a disparity
-
-
-@dataclass(frozen=True)
-class Check:
-    """One test of the camera."""
-
-    name: str
-    verdict: Verdict
-    finding: str  # one sentence with the measured values
-    advice: str = ""  # the remedy; empty when none is needed
-    figures: dict[str, float] = field(default_factory=dict)  # the measured values, units in their names
 
 
 def check_camera(
@@ -106,11 +90,6 @@ def outcome(checks: list[Check]) -> int:
     if not is_healthy(checks):
         return 1
     return 0 if any(c.name == _DISTANCE and c.verdict == "ok" for c in checks) else 2
-
-
-def is_healthy(checks: list[Check]) -> bool:
-    """Return whether no check warns."""
-    return all(check.verdict != "warn" for check in checks)
 
 
 def _resolution(image: np.ndarray, calibration: Calibration) -> Check:
@@ -164,19 +143,18 @@ def _settings(exif: Exif, calibration: Calibration) -> list[Check]:
 
 
 def _exposure(image: np.ndarray) -> Check:
-    finite = image[np.isfinite(image).all(axis=2)]
-    if not finite.size:
+    seen = Exposure.of(image)
+    if seen is None:
         raise InputError("the image has no finite value; export it again")
-    saturated = float((finite.max(axis=1) >= SATURATION).mean())
-    bright = float(np.percentile(finite, 99))
-    figures = {"saturated_share": saturated, "percentile_99": bright}
-    if saturated > _SATURATED:
+    if seen.is_saturated:
         advice = "expose less: where a channel is saturated, nothing is measured"
-        return Check("exposure", "warn", f"{saturated:.1%} of the pixels are saturated", advice, figures)
-    if bright < _DARK:
+        return Check("exposure", "warn", f"{seen.saturated:.1%} of the pixels are saturated", advice, seen.figures)
+    if seen.is_dark:
+        finding = f"the brightest parts reach {seen.bright:.1%} of full scale"
         advice = "expose longer or add light; check --black-level and --white-level"
-        return Check("exposure", "warn", f"the brightest parts reach {bright:.1%} of full scale", advice, figures)
-    return Check("exposure", "ok", f"{saturated:.1%} saturated, bright parts at {bright:.0%}", "", figures)
+        return Check("exposure", "warn", finding, advice, seen.figures)
+    finding = f"{seen.saturated:.1%} saturated, bright parts at {seen.bright:.0%}"
+    return Check("exposure", "ok", finding, "", seen.figures)
 
 
 def _tint(image: np.ndarray) -> Check:
@@ -185,13 +163,13 @@ def _tint(image: np.ndarray) -> Check:
         return Check(_TINT, "cannot tell", "too dark or too bright to compare colours")
     figures = {"ramp_share": tint.ramp, "scatter_share": tint.scatter}
     finding = f"colour changes by {tint.ramp:.0%} from the middle to the edge, {tint.scatter:.0%} of scatter"
-    if tint.ramp > _TINT_TOLERANCE and tint.ramp > 2 * tint.scatter:
+    if is_uneven(tint):
         advice = (
             "the filter is not in the plane of the stop (then each part of the frame sees a different part of it), or "
             "the light is uneven: move the filter to the iris and photograph a white sheet"
         )
         return Check(_TINT, "warn", finding, advice, figures)
-    if tint.scatter > _TINT_TOLERANCE:
+    if tint.scatter > TINT:
         return Check(_TINT, "cannot tell", f"{finding}: the scene has colours", "photograph a white sheet", figures)
     return Check(_TINT, "ok", finding, "", figures)
 

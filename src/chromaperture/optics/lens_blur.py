@@ -118,25 +118,38 @@ def displacement(
     ``points`` (N, 2) float, pupil radii; ``position`` (2,) float: frame position from the centre, in half widths;
     ``inverse_mm`` float, 1/mm: 1 / z, z from the entrance pupil; ``channel`` {0, 1, 2}. Returns (N, 2) float64, px.
     """
+    return displacements(model, points, position, inverse_mm, (channel,))[0]
+
+
+def displacements(
+    model: BlurModel, points: np.ndarray, position: np.ndarray, inverse_mm: float, channels: tuple[int, ...]
+) -> np.ndarray:
+    """Compute the `displacement` of several channels, what they have in common once; (C, N, 2) float64, px."""
     m = model
     x2 = np.einsum("ij,ij->i", points, points)
     along = points @ position
     f2 = float(position @ position)
-    axial = (m.axial_red_px, 0.0, m.axial_blue_px)[channel]
-    lateral = (m.lateral_red_px, 0.0, m.lateral_blue_px)[channel]
-    lateral3 = (m.lateral3_red_px, 0.0, m.lateral3_blue_px)[channel]
-    spherical = m.spherical_px + (m.spherical_red_px, 0.0, m.spherical_blue_px)[channel] + m.oblique_px * f2
-    curvature = m.curvature_px + (m.curvature_red_px, 0.0, m.curvature_blue_px)[channel]
     coma = m.coma_px + m.coma4_px * f2
-
     # Gradient of the wave aberration: even terms act along the pupil vector, odd terms along the position as well.
-    to_pupil = m.infinity_px - m.scale_px_mm * inverse_mm + axial + (curvature + m.curvature4_px * f2) * f2
-    to_pupil = to_pupil + (spherical + m.spherical5_px * x2) * x2
-    to_pupil += (2 * coma + 4 * m.coma_zonal_px * x2 + m.oblique_tangential_px * along) * along
+    fifth = m.spherical5_px * x2
+    odd = (2 * coma + 4 * m.coma_zonal_px * x2 + m.oblique_tangential_px * along) * along
     to_position = (m.astigmatism_px + m.astigmatism4_px * f2 + m.oblique_tangential_px * x2) * along
     to_position += (coma + m.coma_zonal_px * x2) * x2 + m.coma_elliptical_px * along**2
-    to_position += lateral + lateral3 * f2
-    return np.asarray(to_pupil[:, None] * points + to_position[:, None] * position)
+    out = np.empty((len(channels), len(points), 2))
+    for channel, moved in zip(channels, out, strict=True):
+        axial = (m.axial_red_px, 0.0, m.axial_blue_px)[channel]
+        lateral = (m.lateral_red_px, 0.0, m.lateral_blue_px)[channel]
+        lateral3 = (m.lateral3_red_px, 0.0, m.lateral3_blue_px)[channel]
+        spherical = m.spherical_px + (m.spherical_red_px, 0.0, m.spherical_blue_px)[channel] + m.oblique_px * f2
+        curvature = m.curvature_px + (m.curvature_red_px, 0.0, m.curvature_blue_px)[channel]
+        defocus = m.infinity_px - m.scale_px_mm * inverse_mm + axial + (curvature + m.curvature4_px * f2) * f2
+        to_pupil = defocus + (spherical + fifth) * x2
+        to_pupil += odd
+        to_side = to_position + (lateral + lateral3 * f2)
+        for k in (0, 1):
+            np.multiply(to_pupil, points[:, k], out=moved[:, k])
+            moved[:, k] += to_side * position[k]
+    return out
 
 
 def rims(model: BlurModel, points: np.ndarray, position: np.ndarray) -> np.ndarray:
@@ -210,10 +223,13 @@ class LensBlur:
     def rays(self, x_px: float, y_px: float, channels: tuple[int, ...] = (0, 1, 2)) -> Rays:
         """Trace the rays of channels at an image position; they hold for every distance."""
         position = self.frame_position(x_px, y_px)
-        rim = rims(self.model, self.pupil.points, position)
-        light = self.light_at(position)[list(channels)] * rim
-        at_infinity = [displacement(self.model, self.pupil.points, position, 0.0, k) for k in channels]
-        return Rays(np.stack(at_infinity), light / light.sum(axis=1, keepdims=True))
+        at_infinity = displacements(self.model, self.pupil.points, position, 0.0, channels)
+        return Rays(at_infinity, self.ray_weights(position, channels))
+
+    def ray_weights(self, position: np.ndarray, channels: tuple[int, ...] = (0, 1, 2)) -> np.ndarray:
+        """Return the weights of the rays at a frame position, behind film and rims; (C, N), of unit sum."""
+        light = self.light_at(position)[list(channels)] * rims(self.model, self.pupil.points, position)
+        return np.asarray(light / light.sum(axis=1, keepdims=True))
 
     @property
     def least_light(self) -> float:

@@ -9,32 +9,31 @@ from typing import Any
 
 import cv2
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.special import erf
 
-from chromaperture.app.notes import heard
-from chromaperture.calibration.assemble_camera import assemble_camera, nominal_depth_model
-from chromaperture.calibration.calibration_config import DEFAULT
+from chromaperture.calibration.assemble_camera import assemble_camera
 from chromaperture.calibration.chessboard import board_points, find_corners
+from chromaperture.calibration.fit_response import LEAST_RATIO, ToneCurve, disparity_error, measure_tone
+from chromaperture.calibration.options import DEFAULT
 from chromaperture.calibration.read_boards import read_board
-from chromaperture.calibration.session import Session
+from chromaperture.calibration.session import SHEETS, Session, nominal_depth_model
 from chromaperture.calibration.white_sheets import WhiteSheets
 from chromaperture.color.film import completed_film
 from chromaperture.color.image import SATURATION
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
-from chromaperture.evaluation.health import Check
+from chromaperture.evaluation.checks import NOTHING_SEEN, Check, Exposure, is_healthy, is_uneven, urgent_first
+from chromaperture.evaluation.edge_blur import edge_blur, pupil_spread
+from chromaperture.evaluation.tint import measure_tint
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Film
-from chromaperture.optics.aperture import Aperture, channel_transmission, design_named, made_of
+from chromaperture.optics.aperture import channel_transmission, design_named, made_of
 from chromaperture.optics.pinhole import centered_pinhole
-from chromaperture.optics.psf import pupil_samples
 from chromaperture.settings.methods import QUALITIES
-from chromaperture.system.errors import ChromapertureError
+from chromaperture.system.errors import ChromapertureError, InputError
+from chromaperture.system.robust import MAD_TO_SIGMA
 
 # Limits, chosen by hand from the causes named.
-_SATURATED, _DARK = 0.02, 0.05  # share of the pixels; 99th percentile, of the white level: as in `evaluation/health.py`
 # Fitted spread over that of the pupil's light, and what the sharpest edge has: simulated boards in and out of focus.
 _SPREAD, _SHARPEST_PX = 1.12, 0.55
 _TOO_BLURRED, _BLUR_ALLOWANCE_PX = 1.3, 0.6  # a real lens is softer than the simulated one
@@ -45,12 +44,16 @@ _RULER, _SCALE = 0.12, 3.0  # ruler against pose by the engraved focal length: e
 _MOVED_PX, _MOVED_SIGMAS = 0.15, 4.0  # disparity against the curve of the earlier boards
 _VISIBLE_PX = 0.5  # expected disparity from which film must show
 _EDGE_PX = 4  # corners nearer to the frame's edge are probably cut off
-# Of the blur of a chessboard, from the edges between its squares.
-_EDGE_REACH = 0.42  # of a square, to either side of an edge: beyond lies the blur of the next edge; chosen by hand
-_PROFILE_SAMPLES = 61  # of a profile, more than the px it covers; chosen by hand
-_FEWEST_EDGES = 4  # edges of one direction; chosen by hand
-_PUPIL_CELLS = 32  # across the pupil; chosen by hand
-_GREEN = 1  # the channel in which corners are found
+# Limits, chosen by hand from the causes named.
+_SHEET_SATURATED, _SHEET_DARK = 0.001, 0.10  # share of the pixels of the middle; its mean, of full scale
+_TEXTURE = 0.10  # scatter of the middle over its mean: a sheet in focus shows its dirt, a scene much more
+_NO_FILM, _WRONG_FILM = 0.10, 0.45  # ratio of channels against clear, from 1 and from usual film, natural logarithm
+# Limits, chosen by hand from the causes named.
+# Of the exponent. Exposure times are stated to some 5 %, which is 0.07 of it at a factor of two.
+_AS_ASSUMED, _IMPOSSIBLE = 0.03, 0.5
+# Of single blocks' exponents about that of their level: noise of 8 bits makes 0.02, another scene more than 0.3.
+_SCATTER = 0.15
+_SAME_LIGHT = 0.15  # exponent below which the pictures are equally bright, whatever exposures are stated
 
 
 @dataclass(frozen=True)
@@ -58,19 +61,21 @@ class Reading:
     """What one photograph of the board tells; px are those of `Session.sensor`."""
 
     ruler_mm: float | None = None  # None for a tilted board
-    width_px: int = (
-        0  # of the pictures that px are of: `Session` reduces large ones the more, the nearer its boards are
-    )
+    # Of the pictures that px are of: `Session` reduces large photographs the more, the nearer its boards are
+    width_px: int = 0
     corners_px: np.ndarray | None = None  # (N, 2) float
-    pose_mm: float = float("nan")  # of the board's middle from the sensor plane, by corners and engraved focal length
+    # Distance of the board's middle from the sensor plane by its corners and the engraved focal length
+    pose_mm: float = float("nan")
     lean_deg: tuple[float, float] = (float("nan"), float("nan"))  # of its left edge, and its top, towards the camera
     disparity_px: float = float("nan")  # of the middle of the frame; NaN for a tilted board
     disparity_sigma_px: float = float("nan")
     pixel_sigma_px: float = float("nan")  # scatter of single pixels of disparity
     blur_px: tuple[float, float] = (float("nan"), float("nan"))  # along x and y
-    exposure: float | None = None  # of a sheet at two: ms as typed, or time, gain, f-number together by the file
+    # Of a sheet at two exposures: ms as typed, or time, gain and f-number together as the file states them
+    exposure: float | None = None
     is_exposure_typed: bool = False
-    tone: tuple[tuple[float, float], ...] = ()  # (level, exponent) by two sheets, see `ToneCurve`; empty for the first
+    # (level, exponent) that it told together with another one, see `ToneCurve`; empty for the first one
+    tone: tuple[tuple[float, float], ...] = ()
 
     def at_width(self, width_px: int) -> Reading:
         """Return the reading in px of pictures of another width."""
@@ -94,7 +99,7 @@ class CheckedShot:
     @property
     def is_usable(self) -> bool:
         """Whether it should be kept."""
-        return all(check.verdict != "warn" for check in self.checks)
+        return is_healthy(self.checks)
 
 
 def check_board(
@@ -106,10 +111,10 @@ def check_board(
     notes: Sequence[str] = (),
     curve: DepthModel | None = None,
 ) -> CheckedShot:
-    """Check a photograph, (H, W, 3) float32 from `Session.read`, of the board square to the axis.
+    """Check a photograph of the board square to the axis, from `Session.read`.
 
     ``ruler_mm`` is from the sensor plane; disparities are searched between the ends of ``range_mm``; ``notes`` are what
-    reading the file warned of; ``curve`` was fitted to the earlier boards, the engraved lens's where they are too few.
+    reading the file warned of; ``curve`` is fitted to the earlier boards, the engraved lens's when there are too few.
     """
     checks = [_exposure(image), *_file(notes)]
     corners = find_corners(image[..., 1], session.inner_corners)
@@ -125,7 +130,7 @@ def check_board(
         *_film(reading, model, known=curve is not None, session=session),
         _inside(corners, session),
     ]
-    return CheckedShot(reading, sorted(checks, key=lambda check: check.verdict != "warn"))
+    return CheckedShot(reading, urgent_first(checks))
 
 
 def check_tilt(image: np.ndarray, session: Session, *, notes: Sequence[str] = ()) -> CheckedShot:
@@ -145,7 +150,7 @@ def check_tilt(image: np.ndarray, session: Session, *, notes: Sequence[str] = ()
     else:
         checks.append(Check("tilt", "ok", f"the board leans by {lean:.0f} degrees", "", figures))
     checks += [*_blur(reading, session, nominal_depth_model(session)), _inside(corners, session)]
-    return CheckedShot(reading, sorted(checks, key=lambda check: check.verdict != "warn"))
+    return CheckedShot(reading, urgent_first(checks))
 
 
 # ---- what is measured
@@ -177,8 +182,7 @@ def _disparity(image: np.ndarray, session: Session, range_mm: tuple[float, float
     rows, columns = (slice(n // 3, n - n // 3) for n in grid.shape)
     residual = np.abs(grid[rows, columns] - middle)
     known = residual[np.isfinite(residual)]
-    # of a normal distribution: 1.4826 times the median of the absolute deviations
-    pixel = float(1.4826 * np.median(known)) if known.size else float("nan")
+    pixel = float(MAD_TO_SIGMA * np.median(known)) if known.size else float("nan")
     return {"disparity_px": middle, "disparity_sigma_px": sigma, "pixel_sigma_px": pixel}
 
 
@@ -205,18 +209,16 @@ def _no_board(session: Session) -> Check:
 
 
 def _exposure(image: np.ndarray) -> Check:
-    finite = image[np.isfinite(image).all(axis=2)]
-    if not finite.size:
-        return Check("exposure", "warn", "the picture holds no finite value", "photograph it again")
-    saturated, bright = float((finite.max(axis=1) >= SATURATION).mean()), float(np.percentile(finite, 99))
-    figures = {"saturated_share": saturated, "percentile_99": bright}
-    if saturated > _SATURATED:
-        finding = f"{saturated:.0%} of the picture is too bright to be measured"
-        return Check("exposure", "warn", finding, "expose less, and keep it so for all photographs", figures)
-    if bright < _DARK:
-        finding = f"the brightest parts reach {bright:.0%} of full scale"
-        return Check("exposure", "warn", finding, "more light, or a longer exposure", figures)
-    return Check("exposure", "ok", f"bright parts at {bright:.0%} of full scale", "", figures)
+    seen = Exposure.of(image)
+    if seen is None:
+        return NOTHING_SEEN
+    if seen.is_saturated:
+        finding = f"{seen.saturated:.0%} of the picture is too bright to be measured"
+        return Check("exposure", "warn", finding, "expose less, and keep it so for all photographs", seen.figures)
+    if seen.is_dark:
+        finding = f"the brightest parts reach {seen.bright:.0%} of full scale"
+        return Check("exposure", "warn", finding, "more light, or a longer exposure", seen.figures)
+    return Check("exposure", "ok", f"bright parts at {seen.bright:.0%} of full scale", "", seen.figures)
 
 
 def _file(notes: Sequence[str]) -> list[Check]:
@@ -315,72 +317,154 @@ def _disparity_at(model: DepthModel, at_mm: float) -> float:
     return float(model.infinity_disparity_px) - float(model.scale_px_mm) / z
 
 
-def read_for_check(session: Session, path: Path) -> tuple[np.ndarray, list[str]]:
-    """Read a photograph of a session; returns it and what reading it warned of; raises InputError."""
-    with heard() as notes:
-        image = session.read(path)
-    return image, notes()
+def check_sheet(image: np.ndarray, name: str, *, design: str, clear: np.ndarray | None = None) -> list[Check]:
+    """Check a photograph of a white sheet, (H, W, 3) float32, linear; the most urgent finding first.
 
-
-def edge_blur(plane: np.ndarray, corners: np.ndarray, inner_corners: tuple[int, int]) -> tuple[float, float]:
-    """Measure the standard deviation of the blur across the edges of a chessboard, px along x and along y; NaN unknown.
-
-    Every stretch between two neighbouring corners, (N, 2) px from `find_corners`, is an edge of the linear plane (H,
-    W). Profiles across all edges of one direction are averaged, dark to bright, and the integral of a Gaussian is
-    fitted. Of a disc of radius r it finds about 0.5 r.
+    ``name`` is ``open``, the design's, or one of `SHEETS`; ``clear`` the mean colour through the open pupil, (3,).
     """
-    columns, rows = inner_corners
-    grid = corners.reshape(rows, columns, 2).astype(float)
-    found = {0: [], 1: []}  # type: dict[int, list[np.ndarray]]
-    lengths: dict[int, list[float]] = {0: [], 1: []}
-    for axis in (0, 1):
-        first, second = (grid[:-1], grid[1:]) if axis == 0 else (grid[:, :-1], grid[:, 1:])
-        for a, b in zip(first.reshape(-1, 2), second.reshape(-1, 2), strict=True):
-            length = float(np.linalg.norm(b - a))
-            across = np.array([-(b - a)[1], (b - a)[0]]) / max(length, 1e-6)
-            upright = int(abs(across[0]) < abs(across[1]))  # 0: the edge is upright, and is crossed along x
-            found[upright].append(_profile(plane, (a + b) / 2, across, (b - a) / length, _EDGE_REACH * length))
-            lengths[upright].append(length)
-    return _spread(found[0], lengths[0]), _spread(found[1], lengths[1])
+    height, width = image.shape[:2]
+    middle = image[height * 2 // 5 : height * 3 // 5, width * 2 // 5 : width * 3 // 5].reshape(-1, 3).astype(float)
+    mean, brightest = middle.mean(axis=0), middle.max(axis=1)
+    checks = []
+    saturated = float((brightest >= SATURATION).mean())
+    if saturated > _SHEET_SATURATED:
+        checks.append(Check("exposure", "warn", "the sheet is too bright", "expose less, the same for all sheets"))
+    elif mean.max() < _SHEET_DARK:
+        finding = f"the sheet reaches {mean.max():.0%} of full scale"
+        checks.append(Check("exposure", "warn", finding, "more light, or a longer exposure, the same for all sheets"))
+    else:
+        checks.append(Check("exposure", "ok", f"the sheet is at {mean.max():.0%} of full scale"))
+    bright = int(mean.argmax())
+    scatter = float(_blocks(image[..., bright]).std() / max(mean[bright], 1e-6))
+    if scatter > _TEXTURE:
+        checks.append(Check("sheet", "warn", f"the picture is uneven by {scatter:.0%}",
+                            "fill the whole frame with plain paper in even light, out of focus"))  # fmt: skip
+    if clear is not None and name != "open":
+        checks.append(_sheet_film(mean / np.maximum(clear, 1e-6), name, design))
+    if name == design:
+        checks += _place(image)
+    return urgent_first(checks)
 
 
-def _profile(
-    plane: np.ndarray, middle: np.ndarray, across: np.ndarray, along: np.ndarray, reach_px: float
-) -> np.ndarray:
-    """Sample across an edge, averaged over a third of its length."""
-    steps = np.linspace(-reach_px, reach_px, _PROFILE_SAMPLES)[None, :, None] * across
-    places = middle + steps + np.linspace(-0.4, 0.4, 5)[:, None, None] * reach_px * along
-    maps = places.astype(np.float32)
-    sampled = cv2.remap(plane, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    profile = np.asarray(sampled.mean(axis=0), float)
-    return (
-        profile if profile[-_PROFILE_SAMPLES // 4 :].mean() > profile[: _PROFILE_SAMPLES // 4].mean() else profile[::-1]
+def _blocks(plane: np.ndarray) -> np.ndarray:
+    """Return the means of 8 x 8 blocks of the middle half of a picture, where vignetting is small."""
+    height, width = plane.shape
+    part = plane[height // 4 : height * 3 // 4, width // 4 : width * 3 // 4]
+    rows, columns = (np.linspace(0, n, 9).astype(int)[:-1] for n in part.shape)
+    sums = np.add.reduceat(np.add.reduceat(part.astype(float), rows, axis=0), columns, axis=1)
+    counts = np.outer(np.diff([*rows, part.shape[0]]), np.diff([*columns, part.shape[1]]))
+    return np.asarray(sums / counts)
+
+
+def _sheet_film(through: np.ndarray, name: str, design: str) -> Check:
+    """Compare the light that passed with usual film and with none."""
+    aperture = made_of(design_named(design), "real")
+    if name == design:
+        expected, what = channel_transmission(aperture), "the aperture"
+    else:
+        color = next(c for c, sheet in SHEETS.items() if sheet == name)
+        expected, what = np.asarray(aperture.filter_named(color).transmission, float), f"{color} film"
+    ours, usual = (_ratios(v) for v in (through, expected))
+    share = ", ".join(f"{v:.0%}" for v in through)
+    finding = f"red, green and blue pass {what} by {share}"
+    figures = {f"passed_{c}": float(v) for c, v in zip("rgb", through, strict=True)}
+    tinted = np.abs(usual).max() > 2 * _NO_FILM
+    if tinted and np.abs(ours).max() < _NO_FILM:
+        return Check(
+            "film", "warn", f"{finding}: as without film", "put the film in; or this is the open pupil", figures
+        )
+    strong = np.abs(usual) > np.log(2)  # where the film must block, any film's own value may differ much
+    wrong = np.sign(ours[strong]) != np.sign(usual[strong])
+    if wrong.any() or np.abs(ours - usual)[~strong].max(initial=0) > _WRONG_FILM:
+        return Check("film", "warn", finding, f"is this {what}? Usual film passes "
+                     + ", ".join(f"{v:.0%}" for v in expected), figures)  # fmt: skip
+    return Check("film", "ok", finding, "", figures)
+
+
+def _ratios(light: np.ndarray) -> np.ndarray:
+    """Return the logarithms of the channels over their geometric mean."""
+    logs = np.log(np.maximum(light, 1e-3))
+    return np.asarray(logs - logs.mean())
+
+
+def _place(image: np.ndarray) -> list[Check]:
+    """Find a ramp of tint over the frame, which film off the stop makes."""
+    tint = measure_tint(image)
+    if tint is None:
+        return []
+    figures = {"ramp_share": tint.ramp}
+    if is_uneven(tint):
+        return [Check("place of the film", "cannot tell", f"colour changes by {tint.ramp:.0%} over the frame",
+                      "the film is away from the iris, or the light is uneven: turn the sheet by 180 degrees to see "
+                      "which", figures)]  # fmt: skip
+    return [Check("place of the film", "ok", f"colour changes by {tint.ramp:.0%} over the frame", "", figures)]
+
+
+@dataclass(frozen=True)
+class Exposed:
+    """One of the photographs: linear as decoded, and its exposure in any unit that both have."""
+
+    image: np.ndarray
+    exposure: float
+
+
+def check_exposed(image: np.ndarray) -> Check:
+    """Check that a photograph of a sheet is neither dark nor saturated."""
+    seen = Exposure.of(image.max(axis=2, keepdims=True))
+    if seen is None:
+        return NOTHING_SEEN
+    if seen.is_saturated:
+        advice = "expose less: what is saturated shows nothing of the curve"
+        return Check("exposure", "warn", f"{seen.saturated:.0%} of the picture is too bright to be measured", advice)
+    if seen.is_dark:
+        return Check("exposure", "warn", f"the brightest parts reach {seen.bright:.0%} of full scale", "expose longer")
+    return Check("exposure", "ok", f"bright parts at {seen.bright:.0%} of full scale")
+
+
+def check_tone(
+    first: Exposed, second: Exposed, *, design: str, is_encoded: bool = True
+) -> tuple[list[Check], ToneCurve | None]:
+    """Compare two exposures of one scene; the curve is None where the pictures tell nothing.
+
+    ``is_encoded``: the files are of 8 bits and were decoded as sRGB.
+    """
+    ratio = max(first.exposure, second.exposure) / min(first.exposure, second.exposure)
+    if ratio < LEAST_RATIO:
+        finding = f"both photographs have the same exposure, to a factor of {ratio:.2f}"
+        return [
+            Check("tone curve", "warn", finding, "take one at a half or a quarter of the other's exposure time")
+        ], None
+    shorter, longer = (first, second) if first.exposure < second.exposure else (second, first)
+    try:
+        curve = measure_tone(shorter.image, longer.image, ratio)
+    except InputError as reason:
+        return [Check("tone curve", "warn", str(reason), "photograph the sheet again")], None
+    middle, error = float(np.median(curve.exponent)), curve.error
+    figures = {"exposure_ratio": ratio, "exponent": middle, "exponent_error": error, "scatter": curve.scatter,
+               "lowest_level": float(curve.level.min()), "highest_level": float(curve.level.max())}  # fmt: skip
+    brighter = ratio**middle
+    if curve.scatter > _SCATTER:
+        finding = f"parts of the picture grew by factors {curve.scatter * np.log(ratio):.0%} apart"
+        advice = "the scene, the light or the camera's place changed: both photographs must show the same, and no more"
+        return [Check("same scene", "warn", finding, advice, figures)], None
+    if middle < _SAME_LIGHT:
+        finding = f"the exposures differ by a factor of {ratio:.2g}, the pictures by {brighter:.2f}"
+        advice = "the camera evens them out: switch automatic exposure off, or correct the exposure times"
+        return [Check("tone curve", "warn", finding, advice, figures)], None
+    if error > _IMPOSSIBLE:
+        finding = f"the exposures differ by a factor of {ratio:.2g}, the pictures by {brighter:.2g}"
+        return [
+            Check("tone curve", "warn", finding, "correct the exposure times: no curve is that wrong", figures)
+        ], None
+    span = f"from {curve.level.min():.0%} to {curve.level.max():.0%} of full scale"
+    cost = disparity_error(design, error)
+    if error <= _AS_ASSUMED:
+        finding = f"light is proportional to exposure {span}, to {error:.3f} of the exponent"
+        return [Check("tone curve", "ok", finding, "", figures)], curve
+    assumed = "sRGB, as 8-bit files are decoded" if is_encoded else "linear, as deep files are taken"
+    finding = (
+        f"decoded light grows with the power {curve.exponent.min():.2f} to {curve.exponent.max():.2f} of the exposure "
+        f"{span}: the curve is not {assumed}"
     )
-
-
-def _spread(profiles: list[np.ndarray], lengths: list[float]) -> float:
-    if len(profiles) < _FEWEST_EDGES:
-        return float("nan")
-    mean, reach = np.mean(profiles, axis=0), _EDGE_REACH * float(np.mean(lengths))
-    t = np.linspace(-reach, reach, _PROFILE_SAMPLES)
-    low, high = float(mean.min()), float(mean.max())
-    if not high > low:
-        return float("nan")
-
-    def residual(p: np.ndarray) -> np.ndarray:
-        level = p[0] + p[1] * erf((t - p[2]) / (np.sqrt(2) * np.exp(p[3])))
-        return np.asarray((level - mean) / (high - low))
-
-    start = np.array([(low + high) / 2, (high - low) / 2, 0.0, np.log(reach / 4)])
-    fit = least_squares(residual, start)
-    sigma = float(np.exp(fit.x[3]))
-    return sigma if 0 < sigma < 2 * reach else float("nan")
-
-
-def pupil_spread(aperture: Aperture) -> tuple[float, float]:
-    """Return the standard deviation of the pupil's light in green, along x and y; pupil radii."""
-    points, light = pupil_samples(aperture, _PUPIL_CELLS)
-    weight = light[:, _GREEN] / light[:, _GREEN].sum()
-    mean = weight @ points
-    x, y = np.sqrt(np.maximum(weight @ (points - mean) ** 2, 0))
-    return float(x), float(y)
+    advice = f"error bars widen by {cost:.1%} of the disparity; RAW files have no tone curve"
+    return [Check("tone curve", "cannot tell", finding, advice, figures)], curve
