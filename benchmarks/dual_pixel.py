@@ -24,10 +24,11 @@ from chromaperture_paper.dual_pixel_camera import (
     Corrections,
     calibrated_by_boards,
     calibrated_by_prescription,
+    calibrated_by_session,
     capture,
     lens_of_json,
+    write_lens_session,
 )
-from chromaperture_paper.dual_pixel_session import calibrated_by_session, write_lens_session
 
 LINES = ("boards", "prescription", "uncorrected", "session")
 

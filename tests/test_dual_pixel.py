@@ -9,10 +9,9 @@ from chromaperture.depth.field import DepthField
 from chromaperture.optics.prescription import load_lens
 from chromaperture.settings.methods import ALLOWED_GROWTH, AccurateConfig
 from chromaperture.system.errors import InputError
-from chromaperture_paper import dual_pixel_camera, dual_pixel_session
-from chromaperture_paper.dual_pixel_camera import FOCUS_SIGMA, uncalibrated, with_focus_error
-from chromaperture_paper.dual_pixel_noise import camera_for, noise_scale
-from chromaperture_paper.half_pixels import HalfPixels
+from chromaperture_paper import dual_pixel_camera
+from chromaperture_paper.dual_pixel_camera import FOCUS_SIGMA, camera_for, noise_scale, uncalibrated, with_focus_error
+from chromaperture_paper.dual_pixel_rays import HalfPixels
 
 SHAPE = (256, 384)
 SHIFTS_PX = dual_pixel_camera._SHIFTS_PX  # private: the test is of the settings that go with them
@@ -74,11 +73,11 @@ def test_a_focus_that_is_set_anew_widens_the_error_bar_by_as_much():
 
 
 def test_the_session_of_a_prescription_shows_its_halves(tmp_path, monkeypatch):
-    monkeypatch.setattr(dual_pixel_session, "BOARDS_MM", (2000.0,))
-    monkeypatch.setattr(dual_pixel_session, "TILTS", 0)
+    monkeypatch.setattr(dual_pixel_camera, "BOARDS_MM", (2000.0,))
+    monkeypatch.setattr(dual_pixel_camera, "TILTS", 0)
     halves = HalfPixels(slope=0.4, half_slope_px=60.0)
     size = {"width_px": 96, "height_px": 64, "pixel_pitch_mm": 0.23}
-    dual_pixel_session.write_lens_session(tmp_path, load_lens("double_gauss_50"), halves, focus_mm=2000.0, size=size)
+    dual_pixel_camera.write_lens_session(tmp_path, load_lens("double_gauss_50"), halves, focus_mm=2000.0, size=size)
     assert (tmp_path / "distances.csv").read_text().splitlines()[1].endswith(",2000")
     sheets = {
         name: cv2.imread(str(tmp_path / "white" / f"{name}.png"), cv2.IMREAD_UNCHANGED)[28:36, 44:52, ::-1].astype(

@@ -27,10 +27,13 @@ from chromaperture.optics.simulator.sensor import SensorModel
 from chromaperture.settings.methods import Quality, preset
 from chromaperture.system.robust import robust_sigma
 from chromaperture_paper import world
-from chromaperture_paper.prior.annulus import annulus_radius
-from chromaperture_paper.prior.colour_lines import colour_lines
-from chromaperture_paper.prior.cross_correlation import cross_correlation, phase_correlation
-from chromaperture_paper.prior.stereo import stereo_sgbm
+from chromaperture_paper.prior_methods import (
+    annulus_radius,
+    colour_lines,
+    cross_correlation,
+    phase_correlation,
+    stereo_sgbm,
+)
 
 T = TypeVar("T")
 RANGE_MM = np.array([1000.0, 4500.0])  # working range; the scenes are at 1.15 to 3.3 m
