@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from chromaperture.model.camera_file import Calibration
-from chromaperture.optics.paraxial import focused_at, paraxial
+from chromaperture.optics.pinhole import focused_at, paraxial
 from chromaperture.optics.prescription import Prescription
 from chromaperture_paper.dual_pixel import BOARDS_MM, correction_sentence, means, measured
 from chromaperture_paper.dual_pixel_camera import (

@@ -21,8 +21,7 @@ from timing import fastest_ms
 import chromaperture as cap
 from chromaperture.color.alignment import align_channels, channel_directions
 from chromaperture.color.lens_shift import LensShift
-from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
-from chromaperture.effects.refocusing import Focus, refocus
+from chromaperture.effects.refocusing import Focus, bokeh_kernel, bokeh_mask, refocus
 from chromaperture.matching.accurate import AccurateMethod, explained_surface, path_surface
 from chromaperture.matching.execution import execution_named
 from chromaperture.matching.labels import IDENTITY

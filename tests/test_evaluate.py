@@ -19,8 +19,7 @@ from typer.testing import CliRunner
 
 from chromaperture.cli.main import app
 from chromaperture.evaluation.figures import new_figure
-from chromaperture.optics.aperture import DESIGNS, centroids
-from chromaperture.optics.metrics import film_unmixing
+from chromaperture.optics.aperture import DESIGNS, centroids, film_unmixing
 from chromaperture.optics.psf import geometric_otf
 from chromaperture.system.errors import InputError
 from chromaperture_paper import figures, methods, prior_methods, registry, run, sweep, world

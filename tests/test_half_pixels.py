@@ -10,8 +10,7 @@ import pytest
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS, centroids
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, displacement, sample_pupil
-from chromaperture.optics.paraxial import focused_at
-from chromaperture.optics.pinhole import PupilCamera, pupil_camera
+from chromaperture.optics.pinhole import PupilCamera, focused_at, pupil_camera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_rays, pinhole_rays
 from chromaperture.system.errors import InputError

@@ -33,8 +33,7 @@ from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import CameraSensor, Film
 from chromaperture.optics.aperture import DESIGNS, Aperture
 from chromaperture.optics.lens_blur import BlurModel, LensBlur
-from chromaperture.optics.paraxial import focused_at, paraxial
-from chromaperture.optics.pinhole import centered_pinhole, pupil_camera
+from chromaperture.optics.pinhole import centered_pinhole, focused_at, paraxial, pupil_camera
 from chromaperture.optics.prescription import Prescription, lens_from_dict
 from chromaperture.optics.ray_table import RayTable, lens_rays
 from chromaperture.optics.simulator.sensor import SensorModel

@@ -36,8 +36,7 @@ from chromaperture.evaluation.figures import (
 )
 from chromaperture.matching.estimate import estimate_disparity
 from chromaperture.optics.aperture import DESIGNS, channel_transmission
-from chromaperture.optics.paraxial import focused_at
-from chromaperture.optics.pinhole import PupilCamera, pupil_camera
+from chromaperture.optics.pinhole import PupilCamera, focused_at, pupil_camera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.simulator import textures
 from chromaperture.optics.simulator.scene import Plane, plane

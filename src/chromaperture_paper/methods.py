@@ -18,9 +18,8 @@ from chromaperture.matching.estimate import estimate_disparity
 from chromaperture.matching.labels import LabelMap
 from chromaperture.matching.result import Disparity
 from chromaperture.matching.views import view_spaces
-from chromaperture.optics.aperture import DESIGNS, centroids
+from chromaperture.optics.aperture import DESIGNS, aperture_figures, centroids, film_unmixing
 from chromaperture.optics.depth_error_bound import expected_accuracy
-from chromaperture.optics.metrics import aperture_figures, film_unmixing
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.psf import geometric_otf
 from chromaperture.optics.simulator.sensor import SensorModel

@@ -119,20 +119,12 @@ EXHIBITS: dict[str, Exhibit] = {
         _exhibit("accuracy", "equal-light", "Depth error against light: is the ranking the paper's?"),
         _exhibit("prior_art", "prior-art", "Prior art on the same captures"),
         _exhibit("accuracy", "accuracy", "Depth error by distance, light, colour, and the Cramer-Rao bound"),
-        _exhibit(
-            "quality", "quality", "Depth quality of a camera: flat walls by distance and by position", reads_all=True
-        ),
-        _exhibit(
-            "bench", "bench", "Methods and designs on ray-traced captures", _BENCH, only_data=True, reads_all=True
-        ),
-        _exhibit(
-            "dual_pixel",
-            "dual-pixel",
-            "Real photographs of a dual-pixel sensor",
-            _DUAL_PIXEL,
-            only_data=True,
-            reads_all=True,
-        ),
+        _exhibit("quality", "quality", "Depth quality of a camera: flat walls by distance and by position",
+                 reads_all=True),
+        _exhibit("bench", "bench", "Methods and designs on ray-traced captures", _BENCH, only_data=True,
+                 reads_all=True),
+        _exhibit("dual_pixel", "dual-pixel", "Real photographs of a dual-pixel sensor", _DUAL_PIXEL, only_data=True,
+                 reads_all=True),
     )
 }  # fmt: skip
 

@@ -12,7 +12,7 @@ import numpy as np
 from chromaperture.calibration.session import read_session
 from chromaperture.capture.files import read_image
 from chromaperture.color.color_maps import OTHER
-from chromaperture.color.snr import expected_loss_db, exposure_to_restore, snr_db
+from chromaperture.color.noise import expected_loss_db, exposure_to_restore, snr_db
 from chromaperture.color.transparency_map import light_efficiency, transparency
 from chromaperture.evaluation.figures import new_figure, show_image
 from chromaperture.matching.estimate import estimate_disparity

@@ -6,8 +6,7 @@ import numpy as np
 
 from chromaperture.calibration.session import SHEETS
 from chromaperture.color.image import SATURATION
-from chromaperture.evaluation.health import Check
-from chromaperture.evaluation.tint import measure_tint
+from chromaperture.evaluation.health import Check, measure_tint
 from chromaperture.optics.aperture import channel_transmission, design_named, made_of
 
 # Limits, chosen by hand from the causes named.

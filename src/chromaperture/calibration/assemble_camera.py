@@ -12,9 +12,8 @@ from chromaperture.calibration.chessboard import Intrinsics
 from chromaperture.calibration.session import Session
 from chromaperture.calibration.white_sheets import WhiteSheets
 from chromaperture.color.unmixing import mixes_three_views, view_reach
-from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.conversion import DepthModel, PaperParameters, model_to_paper, paper_to_model
 from chromaperture.depth.field import DepthField
-from chromaperture.depth.paper_form import PaperParameters, model_to_paper, paper_to_model
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Board, Lens
 from chromaperture.optics.aperture import design_named

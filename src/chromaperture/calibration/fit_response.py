@@ -22,8 +22,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from chromaperture.calibration.session import Session
+from chromaperture.color.encoding import KNOTS, ResponseCurve, response_table
 from chromaperture.color.image import SATURATION
-from chromaperture.color.response import KNOTS, ResponseCurve, response_table
 from chromaperture.color.srgb import linear_to_srgb
 
 _PHASES = 16  # points across a square; far squares are 10 px wide

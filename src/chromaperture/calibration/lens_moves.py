@@ -11,7 +11,7 @@ import numpy as np
 from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.matching.views import channel_space
 from chromaperture.model.camera_file import Calibration
-from chromaperture.optics.lens_otf import traced
+from chromaperture.optics.lens_blur import traced
 
 _PLACES = (9, 7)  # along width and height; vignetting and lateral colour bend less in between
 # Of the blur radius at the far end of the range. Pairs of squares disagree by .2 px more there than in focus; on 16

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from chromaperture.color.image import is_saturated
-from chromaperture.optics.metrics import LUMINANCE
+from chromaperture.optics.aperture import LUMINANCE
 from chromaperture.system.errors import InputError
 
 _BLUR = 0.025  # sigma over the image's width: removes noise and paper grain, keeps vignetting. Chosen by hand

@@ -17,8 +17,7 @@ import cv2
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, cg
 
-from chromaperture.effects.layered_model import LayeredModel
-from chromaperture.effects.transfer_functions import Blur
+from chromaperture.effects.layered_model import Blur, LayeredModel
 from chromaperture.effects.wiener import colour_covariance, mirrored, padded_size, sharpen_layers
 from chromaperture.system.errors import InputError
 

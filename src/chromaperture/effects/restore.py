@@ -16,14 +16,13 @@ from chromaperture.camera.alignment import channel_shifts
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import noise_of_photographs
 from chromaperture.color.alignment import align_channels, linear_displacement
-from chromaperture.color.defective_pixels import without_defects
-from chromaperture.color.image import SATURATION
+from chromaperture.color.image import SATURATION, without_defects
 from chromaperture.color.registration import residual_displacement
 from chromaperture.color.unmixing import pure_channels
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
 from chromaperture.effects.edge_aware import filter_disparity
-from chromaperture.effects.transfer_functions import Blur, LensTransfer, ThinLensBlur, radius_per_disparity
+from chromaperture.effects.layered_model import Blur, LensTransfer, ThinLensBlur, radius_per_disparity
 from chromaperture.model.camera_file import Calibration
 from chromaperture.system.errors import InputError
 

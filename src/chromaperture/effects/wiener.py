@@ -17,8 +17,7 @@ import cv2
 import numpy as np
 import scipy.fft
 
-from chromaperture.effects.layered_model import blurred_layers
-from chromaperture.effects.transfer_functions import Blur
+from chromaperture.effects.layered_model import Blur, blurred_layers
 
 # Chosen by hand; not tuned.
 _SAME_PX, _SAME_RADIUS = 0.8, 0.12  # blur radii that differ by less, px plus a fraction, are of one surface

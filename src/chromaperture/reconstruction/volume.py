@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.products.rectified import View
-from chromaperture.reconstruction.camera_matrix import scaled
+from chromaperture.reconstruction.clean_views import scaled
 from chromaperture.reconstruction.fusion_kernels import Pixels, Voxels, clear_faint, fuse, holds_surface
 from chromaperture.reconstruction.ray_casting import EDGE, cast_rays, enlarged_distances, table_of
 from chromaperture.system.errors import MissingDependencyError

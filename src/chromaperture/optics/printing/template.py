@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from chromaperture.optics.aperture import Aperture
-from chromaperture.optics.shapes import Disc, HalfPlane, Intersection, Polygon, Shape, Square
+from chromaperture.optics.aperture import Aperture, Disc, HalfPlane, Intersection, Polygon, Shape, Square
 from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:

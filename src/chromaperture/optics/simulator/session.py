@@ -12,11 +12,9 @@ from typing import cast
 import cv2
 import numpy as np
 
-from chromaperture.optics.aperture import DESIGNS, Aperture, SubAperture
-from chromaperture.optics.filters import CYAN, OPAQUE, YELLOW, Filter
+from chromaperture.optics.aperture import CYAN, DESIGNS, OPAQUE, YELLOW, Aperture, Disc, Filter, SubAperture
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import RayTable
-from chromaperture.optics.shapes import Disc
 from chromaperture.optics.simulator import textures
 from chromaperture.optics.simulator.render import render, render_depth
 from chromaperture.optics.simulator.scene import Plane, plane
