@@ -17,6 +17,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from video_signal import VideoSignal, drawn_smaller, video_frame
 
 from chromaperture.app.assistant import check_shot, sheets_of
 from chromaperture.app.calibration_job import CalibrationJob
@@ -33,7 +34,6 @@ from chromaperture.optics.simulator.scene import plane
 from chromaperture.optics.simulator.sensor import SensorModel
 from chromaperture.optics.simulator.session import wall
 from chromaperture.system.robust import MAD_TO_SIGMA
-from video_signal import VideoSignal, drawn_smaller, video_frame
 
 QUALITIES = ("real-time", "accurate")
 WHITE = 0.9  # of full scale, of the brightest paper

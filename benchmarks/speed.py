@@ -34,7 +34,7 @@ from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.products.samples import open_sample
 from chromaperture.settings.methods import RealTimeConfig
 from chromaperture.system.threads import thread_count
-from chromaperture_paper.total_variation import smooth_disparity
+from chromaperture_paper.variation import smooth_disparity
 
 HEIGHT, WIDTH = 720, 1280
 NOISE = 0.004

@@ -47,7 +47,7 @@ from chromaperture_paper import methods, world
 from chromaperture_paper.context import Context
 from chromaperture_paper.registry import Chart, Comparison, Content, CsvTable
 from chromaperture_paper.tables import transparencies, white_sheets
-from chromaperture_paper.total_variation import smooth_disparity
+from chromaperture_paper.variation import smooth_disparity
 from chromaperture_paper.world import EIGHT, NUMERALS, full_name
 
 
@@ -358,7 +358,7 @@ def _raw_and_regularised(
     method = methods.method_of(design)
     reading = methods.METHODS[method](image, methods.setting_of(design, camera))
     raw = methods.calibrate(method, design, camera, cells).radius_of(reading)
-    return raw, smooth_disparity(raw, fidelity=_TV_FIDELITY, bounds_px=bounds_px).disparity_px
+    return raw, smooth_disparity(raw, fidelity=_TV_FIDELITY, bounds_px=bounds_px)
 
 
 def figure_11(context: Context) -> Content:

@@ -26,7 +26,7 @@ from chromaperture_paper import methods, world
 from chromaperture_paper.context import Context
 from chromaperture_paper.prior_methods import annulus_radius
 from chromaperture_paper.registry import Chart, Comparison, Content, CsvTable
-from chromaperture_paper.total_variation import smooth_disparity
+from chromaperture_paper.variation import smooth_disparity
 from chromaperture_paper.world import NUMERALS, full_name
 
 

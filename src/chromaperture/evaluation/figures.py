@@ -1,4 +1,4 @@
-"""Figures of the calibration report: its input, depth (the paper's Figures 6 to 9, residuals, accuracy), and the blur."""
+"""Figures of the calibration report: its input, depth (the paper's Figures 6 to 9, accuracy), blur."""
 
 from __future__ import annotations
 

@@ -80,8 +80,8 @@ class BlurModel:
     front_rim_shift: float = 0.0
     rear_rim_radius: float = 1.1
     rear_rim_shift: float = 0.0
-    # Of a dual-pixel sensor, 0 for film: its halves see ramps of the pupil in place of half pupils, and the ramps' slope
-    # is divided by 1 + (fall * x / half width)^2. Known of the sensor, not fitted to boards
+    # Of a dual-pixel sensor, 0 for film: its halves see ramps of the pupil in place of half pupils, and the ramps'
+    # slope is divided by 1 + (fall * x / half width)^2. Known of the sensor, not fitted to boards
     contrast_fall: float = 0.0
 
 
