@@ -74,13 +74,11 @@ _NOT_UNDONE = {7: "SMPTE 240M", 9: "logarithm, 100:1", 10: "logarithm, 316:1", 1
 
 
 def to_linear(values: np.ndarray, transfer: Transfer) -> np.ndarray:
-    """Undo a curve.
+    """Undo a curve: encoded values in [0, 1], clipped but for ``srgb``, to linear light in [0, 1], float32.
 
-    ``values``: encoded values in [0, 1], any shape; what lies outside is clipped, but goes on with ``srgb``;
-    ``transfer``: the curve. Returns Linear light in [0, 1], float32, same shape. ``bt709`` and ``hlg`` give light of
-    the scene (inverse OETF: BT.709,; item 1.2; BT.2100, table 5), ``pq`` light of the display (EOTF: BT.2100, table 4).
-    For the last two 1 is the diffuse; white of BT.2408 (a signal of 0.75; 203 cd/m2): what is brighter counts as
-    saturated..
+    ``bt709`` and ``hlg`` give light of the scene (inverse OETF: BT.709, item 1.2; BT.2100, table 5), ``pq`` light of
+    the display (EOTF: BT.2100, table 4). For the last two 1 is the diffuse white of BT.2408 (a signal of 0.75; 203
+    cd/m2): what is brighter counts as saturated.
     """
     if transfer.name == "srgb":
         return srgb_to_linear(values)
@@ -113,12 +111,10 @@ class ColorSpace:
     transfer: Transfer | None  # the curve; None where it is not stated
 
     def to_srgb(self) -> tuple[float, ...] | None:
-        """Matrix from linear light in these primaries to linear sRGB.
+        """Matrix from linear light in these primaries to linear sRGB, nine numbers by rows; None where none is needed.
 
         Whites are brought together by Bradford's transform (ICC.1:2022, annex E), so neutral colours stay neutral.
-
-        Returns Nine numbers, row by row. None where no matrix is needed: primaries are not stated, or are those of sRGB
-        to; 2e-4 in x and y, by which no value changes by more than 0.3 % of full scale, and no neutral one..
+        Primaries of sRGB to 2e-4 in x and y change no value by more than 0.3 % of full scale, and need none.
         """
         if self.primaries is None or _known(self.primaries) == SRGB_PRIMARIES:
             return None
@@ -163,11 +159,7 @@ def of_values(
 
 
 def name_of(primaries: Primaries | None, transfer: Transfer | None, other: str = "other primaries") -> str:
-    """Name of primaries with a curve, for people.
-
-    ``primaries``, ``transfer``: as in `ColorSpace`; ``other``: what primaries of no known set are called. Returns Such
-    as "Display P3"; "BT.2020, HLG", where the curve is not the usual one of these primaries..
-    """
+    """Name of primaries with a curve, for people: "Display P3", or "BT.2020, HLG" where the curve is not the usual."""
     known = primaries and _known(primaries)
     if primaries and not known:
         return other
@@ -274,10 +266,8 @@ def of_png(data: bytes) -> ColorSpace | None:
 def of_exif(color_space: int | None, interoperability: str | None) -> ColorSpace | None:
     """Colour space by Exif, for a picture without an ICC profile.
 
-    Cameras that are set to Adobe RGB state it so, and most of them in no other way (DCF 2.0, option file).
-
-    ``color_space``: ColorSpace (tag 0xA001 of the Exif directory): 1 is sRGB, 0xFFFF any other, 2 some writers' Adobe
-    RGB; ``interoperability``: InteroperabilityIndex (tag 1 of the directory at 0xA005): "R03" is Adobe RGB.
+    Most cameras that are set to Adobe RGB state it in no other way (DCF 2.0, option file). ``color_space``: tag 0xA001:
+    1 is sRGB, 0xFFFF any other, 2 some writers' Adobe RGB; ``interoperability``: tag 1 of the directory at 0xA005.
     """
     if color_space == 1:  # goes before an index that an editor has left behind
         return of_values(SRGB_PRIMARIES, Transfer("srgb"))

@@ -46,14 +46,11 @@ _SIGMAS, _TIMES_RANGE, _TIMES_OTHERS = 8.0, 2.0, 3.0
 
 
 def without_defects(image: np.ndarray, variance: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Replace hot, stuck and dead pixels, and hits of cosmic rays, by the median of their neighbourhood.
+    """Replace hot, stuck and dead pixels, and hits of cosmic rays, by the median of their neighbourhood; (H, W, 3).
 
     The likelihood of quality "accurate" takes detail at one pixel of one channel for detail in focus
-    (docs/decisions.md).
-
-    ``image`` (H, W, 3) float32, linear RGB; ``variance``: from the image to the variance of its noise, (H, W, 3). It is
-    called only where a pixel stands out of its neighbours. Returns (H, W, 3) float32: the image itself where nothing
-    was found.
+    (docs/decisions.md). ``variance``: from the image to the variance of its noise, called only where a pixel stands out
+    of its neighbours. Returns the image itself where nothing was found.
     """
     ring = np.ones((3, 3), np.uint8)
     ring[1, 1] = 0

@@ -71,12 +71,10 @@ def estimate_noise_variance(image: np.ndarray) -> np.ndarray:
 
 
 def noise_samples(image: np.ndarray, *, scale_px: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Compute brightness and noise variance of blocks of an image.
+    """Compute brightness and noise variance of blocks and channels, (B,) float64 each, without clipped ones.
 
-    ``image`` (H, W, C) float, linear, 1.0 = white level; ``scale_px``: side of the squares of pixels that are averaged
-    first. The variance is that of the pixels of white noise whose averages have what is found. Returns ``level,
-    variance`` (B,) float64: of each block and channel, white level and its square; clipped and non-finite blocks are
-    left out.
+    ``scale_px``: side of the squares of pixels that are averaged first; the variance is that of the pixels of white
+    noise whose averages have what is found.
     """
     if min(image.shape[:2]) < scale_px * _BLOCK_SAMPLES:
         return np.empty(0), np.empty(0)
@@ -100,13 +98,10 @@ def _squares(values: np.ndarray, side: int) -> np.ndarray:
 
 
 def photon_noise_of_sheets(sheets: Iterable[np.ndarray]) -> tuple[float, float] | None:
-    """Fit full well and read noise to photographs of even surfaces, at the scale that has most of the noise.
+    """Fit full well and read noise to photographs of even surfaces, (H, W, C) linear; see `fit_photon_noise`.
 
-    Compression and the interpolation of a colour mosaic take noise out of the finest detail alone. What is left there
-    is no measure of the noise in detail of a few pixels, which evidence and restoration see.
-
-    ``sheets`` iterable of (H, W, C) float, linear, 1.0 = white level. Returns ``full_well_electrons,
-    read_noise_electrons`` see `fit_photon_noise`.
+    Compression and the interpolation of a colour mosaic take noise out of the finest detail alone, which is no measure
+    of the noise in detail of a few pixels: the scale that has most of the noise counts.
     """
     samples: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in _SCALES_PX]
     for sheet in sheets:
@@ -123,14 +118,11 @@ def photon_noise_of_sheets(sheets: Iterable[np.ndarray]) -> tuple[float, float] 
 
 
 def noise_ratio(image: np.ndarray, variance: np.ndarray) -> float:
-    """Return a photograph's noise variance over the expected one; 1 where it is not clearly more.
+    """Return a photograph's noise variance over the expected one, (H, W, 3); 1 where it is not clearly more.
 
     A photograph at another ISO than the calibration has other noise. Detail is much alike in the three channels, their
     noise is not: of the fine structure of a block, in units of the expected noise, the least eigenvalue of the
     channels' covariance is the noise's.
-
-    ``image`` (H, W, 3) float, linear, 1.0 = white level; ``variance`` (H, W, 3) float: what is expected, (white
-    level)^2. Returns 1, or at least `_CLEAR_RATIO`.
     """
     image = np.asarray(image, np.float32)
     finest = _ratio_at(image, variance, 1)
@@ -173,13 +165,10 @@ def _means(values: np.ndarray, size: tuple[int, int], side_px: int) -> list[np.n
 
 
 def fit_photon_noise(level: np.ndarray, variance: np.ndarray) -> tuple[float, float] | None:
-    """Fit full well and read noise to the flattest blocks of photographs (photon transfer, Janesick 2007).
+    """Fit full well and read noise, electrons, to the flattest blocks of photographs (photon transfer, Janesick 2007).
 
     Texture only adds to a block's variance: the line ``level / full_well + (read_noise / full_well)^2`` is the lower
-    edge of the scatter plot.
-
-    ``level``, ``variance`` (B,) float: blocks of all photographs together, from `noise_samples`. Returns
-    ``full_well_electrons, read_noise_electrons`` None when variance does not grow with brightness: too few levels, or
+    edge of the scatter plot of `noise_samples`. None when variance does not grow with brightness: too few levels, or
     denoised photographs.
     """
     level, variance = np.asarray(level, float), np.asarray(variance, float)

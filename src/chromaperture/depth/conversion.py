@@ -91,12 +91,9 @@ class DepthModel:
 
 
 def disparity_to_inverse_depth(disparity_px: Map, model: DepthModel) -> np.ndarray:
-    """Compute 1 / z, z being the distance from the entrance pupil.
+    """Compute 1 / z, z from the entrance pupil; float64, 1/mm, 0 at infinity, negative beyond, NaN unknown.
 
     Average inverse depth, not depth: its error is as symmetric as that of the disparity.
-
-    ``disparity_px`` (H, W) float, px, half disparity, + beyond focus. Returns (H, W) float64, 1/mm; 0 at infinity,
-    negative where the disparity exceeds that of infinity, NaN unknown..
     """
     disparity = _map(disparity_px, model)
     if model.nonlinearity is not None:

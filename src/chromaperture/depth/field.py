@@ -265,12 +265,10 @@ def polynomials(x: np.ndarray, y: np.ndarray, width_px: int, height_px: int, deg
 
 
 def resized_field(field: DepthField, before_px: tuple[int, int], after_px: tuple[int, int]) -> DepthField:
-    """Return the curves for a picture of another size that shows the same frame.
+    """Return the curves for a picture of another size, (width, height) px, that shows the same frame.
 
     Disparities count px of the picture's width. Polynomials over the frame are of the centres of its outermost pixels,
     which move when pixels grow: the polynomials are expanded anew, exactly.
-
-    ``before_px``, ``after_px`` (int, int): width and height, px.
     """
     factor = before_px[0] / after_px[0]  # px before in a px after
     shares = [_share(before, after) for before, after in zip(before_px, after_px, strict=True)]
@@ -335,13 +333,10 @@ def _local(local: LocalField, factor: float) -> LocalField:
 
 
 def with_scale_error(field: DepthField, relative: float) -> DepthField:
-    """Add a relative error of the disparity to the covariance of a curve.
+    """Add a relative error of the disparity, one standard deviation, to the covariance of a curve.
 
     Disparities that are all wrong by the same factor are those of a curve whose A and B are wrong by that factor: the
-    covariance grows by ``relative^2 c c^T``, c being the coefficients of both. The standard deviation of the disparity
-    d grows to hypot(sigma, relative |d|), in focus not at all.
-
-    ``relative``: one standard deviation of the factor; 0 changes nothing. Raises InputError: it is negative or not
+    covariance grows by ``relative^2 c c^T``, c being the coefficients of both. Raises InputError: it is negative or not
     finite.
     """
     if not (np.isfinite(relative) and relative >= 0):
@@ -366,10 +361,9 @@ _BAND_PX = 1_000_000  # of a band: 60 MB of curves and their covariances
 def field_to_depth(
     disparity_px: np.ndarray, sigma_px: np.ndarray, field: DepthField, *, max_depth_mm: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute depth and its standard deviation in mm, as `disparity_to_depth` with the curves of the whole frame.
+    """Compute `disparity_to_depth` with the curves of the whole frame, by bands of rows; two (H, W) float32, mm.
 
-    ``disparity_px``, ``sigma_px`` (H, W) float32, px; ``max_depth_mm`` float, mm from the sensor. Returns ``depth_mm,
-    sigma_mm`` (H, W) float32; NaN unknown.
+    The curves of every pixel and their covariances take 100 bytes a pixel, for a whole frame gigabytes.
     """
     height, width = disparity_px.shape
     step = height if len(field.scale_px_mm) == 1 else max(1, _BAND_PX // width)

@@ -133,27 +133,12 @@ def refocus(
     compositor: Compositor | None = None,
     tile_px: int | None = None,
 ) -> np.ndarray:
-    """Blur a sharp picture as a lens with another focus would.
+    """Blur a sharp picture as a lens with another focus would; (H, W, 3) float32, linear RGB.
 
-    Parameters
-    ----------
-    color : (H, W, 3) float32, linear RGB, everything in focus
-    radius_px : (H, W) float32, px
-        Signed blur radius that the capture had, + beyond its focus: orders near and far. No NaN.
-    focus : Focus
-    compositor : callable, optional
-        A camera's device, see `refocus_device.compositor_of`.
-    tile_px : int, optional
-        Side of the parts that are computed one after the other.
-
-    Returns
-    -------
-    (H, W, 3) float32, linear RGB
-
-    Raises
-    ------
-    InputError
-        Sizes differ, the depth has holes, or the blur would be larger than the picture can hold.
+    ``radius_px`` (H, W): signed blur radius that the capture had, px, + beyond its focus: orders near and far, no NaN;
+    ``compositor``: a camera's device, see `compositor_of`; ``tile_px``: side of the parts that are computed one after
+    the other. Raises InputError: sizes differ, the depth has holes, or the blur would be larger than the picture can
+    hold.
     """
     if color.shape[:2] != radius_px.shape:
         raise InputError(f"picture {color.shape[:2]} and depth {radius_px.shape} differ in size: of two photographs")

@@ -197,26 +197,16 @@ class Aperture:
     views: tuple[str, ...]
 
     def filter_named(self, name: str) -> Filter:
-        """Return the filter of a name such as ``"cyan"``.
-
-        Raises
-        ------
-        InputError
-            The aperture has no such filter.
-        """
+        """Return the filter of a name such as ``"cyan"``; raises InputError where there is none."""
         for part in self.parts:
             if part.filter.name == name:
                 return part.filter
         raise InputError(f"aperture {self.name!r} has no {name!r} filter")
 
     def with_film(self, film: Mapping[str, Sequence[float] | np.ndarray]) -> Aperture:
-        """Replace film in the same geometry.
+        """Replace film in the same geometry; ``film`` holds the transmission in R, G, B, (3,), by the filter's name.
 
-        Parameters
-        ----------
-        film : mapping of str to (3,) float
-            Transmission in R, G, B by the filter's name; other filters stay. Measured ones may lie somewhat outside 0
-            to 1, by uneven light or a colour matrix; here they end there.
+        Measured ones may lie somewhat outside 0 to 1, by uneven light or a colour matrix; here they end there.
         """
 
         def swap(part: SubAperture) -> SubAperture:
@@ -228,34 +218,13 @@ class Aperture:
         return replace(self, parts=tuple(map(swap, self.parts)))
 
     def transmission_map(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Look up the transmission in R, G, B at pupil points.
-
-        Parameters
-        ----------
-        x, y : (...) float
-            Pupil coordinates, in pupil radii.
-
-        Returns
-        -------
-        (..., 3) float64 in [0, 1]; 0 outside the pupil.
-        """
+        """Look up the transmission in R, G, B at pupil points, in radii; (..., 3) float64, 0 outside the pupil."""
         out = self.film_map(x, y)
         out[np.hypot(x, y) >= 1] = 0
         return out
 
     def film_map(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Look up the transmission like `transmission_map`, but without the pupil's rim.
-
-        Parameters
-        ----------
-        x, y : (...,) float
-            Pupil coordinates, radii.
-
-        Returns
-        -------
-        (..., 3) float64
-            In R, G, B.
-        """
+        """Look up the transmission like `transmission_map`, but without the pupil's rim; (..., 3) float64."""
         out = np.broadcast_to(np.array(self.remainder.transmission), (*np.shape(x), 3)).copy()
         for part in self.parts:
             out[part.shape.contains(x, y)] = part.filter.transmission
@@ -300,13 +269,10 @@ def channel_transmission(aperture: Aperture) -> np.ndarray:
 
 
 def centroids(aperture: Aperture, unmixing: np.ndarray | None = None) -> np.ndarray:
-    """Compute the centroid of each channel's pupil function.
+    """Compute the centroid of each channel's pupil function, pupil radii; (K, 2) float64, NaN without light.
 
-    A linear combination ``q`` of the sensor channels has the pupil function ``sum_k q_k A_k``, so unmixing moves the
-    centroids outwards: CYX separates the views of an open design further than RGB does.
-
-    ``unmixing`` (K, 3) float: rows are combinations of R, G, B; the identity when absent. Returns (K, 2) float64, pupil
-    radii; NaN for a channel without light..
+    ``unmixing`` (K, 3) float: rows q are combinations of R, G, B, whose pupil function is ``sum_k q_k A_k``: unmixing
+    moves the centroids outwards. The identity when absent.
     """
     rows = np.eye(3) if unmixing is None else np.asarray(unmixing, float)
     moments = rows @ channel_moments(aperture)
@@ -328,9 +294,7 @@ def made_of(aperture: Aperture, film: str) -> Aperture:
 
 
 def checked_aperture(aperture: Aperture) -> Aperture:
-    """Validate a user's design and return it.
-
-    Pieces may extend beyond the pupil, as film does under the rim of a stop; the pupil cuts them.
+    """Validate a user's design and return it; pieces may extend beyond the pupil, which cuts them.
 
     Raises InputError: more than `MOST_PIECES` pieces, a piece wholly outside the pupil, two that overlap, a view that
     names no piece, or no light passes.

@@ -331,14 +331,10 @@ class ChannelRays(NamedTuple):
 
 
 def traced(blur: LensBlur, image_px: tuple[float, float], inverse_mm: float) -> list[ChannelRays]:
-    """Trace the rays of an object point to the sensor.
+    """Trace the rays of an object point to the sensor, for R, G and B; ``inverse_mm`` is 1 / z from the entrance pupil.
 
-    Positions are relative to the chief ray, less the mean displacement of the open pupil's light by aberrations: a
-    displacement that all channels have in common, such as coma's, cancels in their differences, and a fit to those
-    does not determine it.
-
-    ``image_px`` (x, y); ``inverse_mm`` float, 1/mm: 1 / z, z from the entrance pupil. Returns list of three
-    ChannelRays, of R, G and B.
+    Positions are relative to the chief ray, less the mean displacement of the open pupil's light by aberrations: what
+    all channels have in common, such as coma's, cancels in their differences, and a fit to those does not determine it.
     """
     position = blur.frame_position(*image_px)
     rim = rims(blur.model, blur.pupil.points, position)

@@ -31,13 +31,11 @@ def _mask(aperture: Aperture) -> tuple[np.ndarray, np.ndarray]:
 
 
 def geometric_otf(aperture: Aperture, radius_px: float, shape: tuple[int, int], *, pixel: bool = False) -> np.ndarray:
-    """Compute the optical transfer function on the frequencies of `numpy.fft.rfft2`.
+    """Compute the optical transfer function on the frequencies of `numpy.fft.rfft2`; (3, h, w // 2 + 1) complex64.
 
     From the mask itself, not from a rasterised kernel: at a radius of 2 px rasterising moves the centroid by 2 %.
-
-    ``radius_px``: signed blur radius r; ``shape`` (int, int): height and width of the image to filter; ``pixel``:
-    multiply by the transfer function of the pixel's square area. Returns (3, h, w // 2 + 1) complex64, read-only; 1 at
-    frequency 0 (0 for a channel without light).
+    ``radius_px``: signed blur radius r; ``shape``: height and width of the image to filter; ``pixel``: multiply by the
+    transfer function of the pixel's square area. Read-only; 1 at frequency 0 (0 for a channel without light).
     """
     if shape[0] * shape[1] <= _LARGEST_KEPT:
         return _kept_otf(aperture, float(radius_px), shape, pixel)
@@ -84,14 +82,10 @@ def geometric_psf(aperture: Aperture, radius_px: float, size: int, *, oversampli
 
 @lru_cache(maxsize=64)
 def pupil_samples(aperture: Aperture, cells: int, supersampling: int = 8) -> tuple[np.ndarray, np.ndarray]:
-    """Sample the pupil by the cells of a square grid, each with the light that passes it.
+    """Sample the pupil by the cells of a square grid: points (S, 2), pupil radii, and light in R, G, B (S, 3).
 
-    Every cell averages finer midpoints, so that a cell cut by a rim is weighted by its area; with an even count a
-    division along an axis lies between cells.
-
-    ``cells``: cells across the pupil, even; ``supersampling``: midpoints across a cell. Returns ``points`` (S, 2)
-    float64: centre of the part of each cell inside the pupil, pupil radii; ``weights`` (S, 3) float64: fraction of the
-    open pupil's light in R, G, B; over all cells they sum to the channel transmissions.
+    Every cell averages ``supersampling``^2 midpoints, so that one cut by a rim is weighted by its area; with an even
+    count of cells a division along an axis lies between them. The light sums to the channel transmissions.
     """
     fine = cells * supersampling
     axis = (np.arange(fine) + 0.5) * 2 / fine - 1

@@ -185,18 +185,9 @@ def summary(model: Reconstruction) -> dict[str, Any]:
 
 
 class Tracker:
-    """Track views; `poses` answers when all have been seen.
+    """Poses of views that are seen one by one, for exports; raises MissingDependencyError without Open3D.
 
-    Parameters
-    ----------
-    camera_matrix : (3, 3) float, px
-    listener : callable, optional
-        Receives messages for the user, one line each.
-
-    Raises
-    ------
-    MissingDependencyError
-        The extra ``reconstruct`` is not installed.
+    ``camera_matrix`` (3, 3) float, px; ``listener``: receives messages for the user, one line each.
     """
 
     def __init__(self, camera_matrix: np.ndarray, *, listener: Callable[[str], None] = lambda line: None) -> None:

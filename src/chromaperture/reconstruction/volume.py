@@ -69,12 +69,10 @@ def in_order(mesh: Mesh) -> Mesh:
 
 
 class Volume:
-    """Voxels near surfaces, in blocks of 16^3.
+    """Voxels near surfaces, in blocks of 16^3, on Open3D's ``grid``, in metres.
 
-    ``memory_mb``: fixes the number of blocks; when they are used up, `full` turns true and nothing outside them is
+    ``memory_mb`` fixes the number of blocks; when they are used up, `full` turns true and nothing outside them is
     fused.
-
-    ``grid``: metres.
     """
 
     def __init__(self, *, voxel_mm: float, truncation_voxels: float, memory_mb: int, max_distance_mm: float) -> None:

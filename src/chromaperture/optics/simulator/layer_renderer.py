@@ -174,13 +174,11 @@ _UNKNOWN = (0, 65535)  # counts of unknown depth, as depth cameras write it
 def read_rgbd(
     color_path: Path, depth_path: Path, *, depth_unit_mm: float = 1.0, sensor_to_pupil_mm: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Read a colour picture and its depth.
+    """Read a colour picture and its depth: (H, W, 3) float32, linear, and (H, W) float32, mm, NaN unknown.
 
-    ``color_path``: 8-bit sRGB picture, or 16-bit linear; ``depth_path``: one channel of 16 bits; 0 and 65535 are
-    unknown; ``depth_unit_mm``: millimetres a count; ``sensor_to_pupil_mm``: added to the depth: depth cameras measure
-    from their pinhole, this package from the sensor plane. Returns ``color`` (H, W, 3) float32, linear, 1.0 = white;
-    ``depth_mm`` (H, W) float32, from the sensor plane, NaN unknown. Raises InputError: a file that cannot be read,
-    depth that is not 16 bit, sizes that differ.
+    Colour is 8-bit sRGB or 16-bit linear; depth one channel of 16 bits in ``depth_unit_mm``, 0 and 65535 unknown, to
+    which ``sensor_to_pupil_mm`` is added: depth cameras measure from their pinhole, this package from the sensor plane.
+    Raises InputError: a file that cannot be read, depth that is not 16 bit, sizes that differ.
     """
     color = _read(color_path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     depth = _read(depth_path, cv2.IMREAD_UNCHANGED)
