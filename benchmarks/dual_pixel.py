@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from dual_pixel_session import calibrated_by_session, write_lens_session
 
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.pinhole import focused_at, paraxial
@@ -24,10 +25,8 @@ from chromaperture_paper.dual_pixel_camera import (
     Corrections,
     calibrated_by_boards,
     calibrated_by_prescription,
-    calibrated_by_session,
     capture,
     lens_of_json,
-    write_lens_session,
 )
 
 LINES = ("boards", "prescription", "uncorrected", "session")

@@ -1,5 +1,8 @@
 """Dual-pixel photographs: noise that both halves share, a session through a prescription, a focus that is set anew."""
 
+import sys
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -12,6 +15,9 @@ from chromaperture.system.errors import InputError
 from chromaperture_paper import dual_pixel_camera
 from chromaperture_paper.dual_pixel_camera import FOCUS_SIGMA, camera_for, noise_scale, uncalibrated, with_focus_error
 from chromaperture_paper.dual_pixel_rays import HalfPixels
+
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+import dual_pixel_session  # noqa: E402
 
 SHAPE = (256, 384)
 SHIFTS_PX = dual_pixel_camera._SHIFTS_PX  # private: the test is of the settings that go with them
@@ -73,11 +79,11 @@ def test_a_focus_that_is_set_anew_widens_the_error_bar_by_as_much():
 
 
 def test_the_session_of_a_prescription_shows_its_halves(tmp_path, monkeypatch):
-    monkeypatch.setattr(dual_pixel_camera, "BOARDS_MM", (2000.0,))
-    monkeypatch.setattr(dual_pixel_camera, "TILTS", 0)
+    monkeypatch.setattr(dual_pixel_session, "BOARDS_MM", (2000.0,))
+    monkeypatch.setattr(dual_pixel_session, "TILTS", 0)
     halves = HalfPixels(slope=0.4, half_slope_px=60.0)
     size = {"width_px": 96, "height_px": 64, "pixel_pitch_mm": 0.23}
-    dual_pixel_camera.write_lens_session(tmp_path, load_lens("double_gauss_50"), halves, focus_mm=2000.0, size=size)
+    dual_pixel_session.write_lens_session(tmp_path, load_lens("double_gauss_50"), halves, focus_mm=2000.0, size=size)
     assert (tmp_path / "distances.csv").read_text().splitlines()[1].endswith(",2000")
     sheets = {
         name: cv2.imread(str(tmp_path / "white" / f"{name}.png"), cv2.IMREAD_UNCHANGED)[28:36, 44:52, ::-1].astype(

@@ -21,8 +21,6 @@ import cv2
 import numpy as np
 import scipy.optimize
 
-from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.progress import Progress, silent
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config, sensor_noise
 from chromaperture.color.srgb import srgb_to_linear
@@ -31,17 +29,15 @@ from chromaperture.matching.estimate import estimate_disparity
 from chromaperture.matching.labels import IDENTITY
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import CameraSensor, Film
-from chromaperture.optics.aperture import DESIGNS, Aperture
+from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.lens_blur import BlurModel, LensBlur
-from chromaperture.optics.pinhole import centered_pinhole, focused_at, paraxial, pupil_camera
+from chromaperture.optics.pinhole import centered_pinhole, focused_at, pupil_camera
 from chromaperture.optics.prescription import Prescription, lens_from_dict
-from chromaperture.optics.ray_table import RayTable, lens_rays
-from chromaperture.optics.simulator.sensor import SensorModel
-from chromaperture.optics.simulator.session import SessionPlan, write_session
+from chromaperture.optics.ray_table import lens_rays
 from chromaperture.settings.methods import QUALITIES, AccurateConfig, Quality
 from chromaperture.system.errors import InputError
 from chromaperture.system.robust import huber_weights, robust_sigma
-from chromaperture_paper.dual_pixel_rays import HalfPixels, fit_to_rays, half_pixel_rays
+from chromaperture_paper.dual_pixel_rays import HalfPixels, fit_to_rays
 
 SENSOR_WIDTH_MM = 36.0  # full frame
 FOCUS_MM = 1000.0  # from the sensor, as the set states
@@ -358,87 +354,3 @@ def camera_for(image: np.ndarray, calibration: Calibration, quality: Quality) ->
             read_noise_electrons=sensor.read_noise_electrons / np.sqrt(times),
         )  # fmt: skip
     return CodedApertureCamera(replace(calibration, sensor=sensor), config)
-
-
-# Even in 1 / z, from the nearest that the lens focuses to where parallax changes by .02 px
-BOARDS_MM = tuple(float(round(1 / inverse)) for inverse in np.linspace(1 / 450, 1 / 5000, 12))
-TILTS = 8
-# Boards hardly noisier than the photographs, whose noise is that of 8 bits
-SENSOR = SensorModel(full_well_electrons=160_000.0, read_noise_electrons=20.0, black_level=256, white_level=64256,
-                     bits=16)  # fmt: skip
-_CELLS = 12  # rays across the pupil
-_SHEETS = {"sheet_c": "cyan", "sheet_y": "yellow"}
-_START_RIM = {"front_rim_radius": 1.2, "front_rim_shift": 0.2, "rear_rim_radius": 1.2, "rear_rim_shift": 0.2}
-
-
-def write_lens_session(
-    folder: Path,
-    lens: Prescription,
-    halves: HalfPixels,
-    *,
-    focus_mm: float,
-    size: dict[str, Any],
-    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
-) -> None:
-    """Photograph a calibration session through a lens of known prescription and half pixels, ray by ray.
-
-    ``lens``: at any focus; ``focus_mm``: from the sensor, to which the lens is focused; ``size``: ``width_px``,
-    ``height_px``, ``pixel_pitch_mm``.
-    """
-    optics = focused_at(lens, focus_mm)
-    camera = pupil_camera(optics, **size)
-    open_rays = lens_rays(optics, DESIGNS["open"], **size, cells=_CELLS)
-    halved = half_pixel_rays(open_rays, halves, pupil_radius_mm=camera.pupil_radius_mm)
-    film = halves.film()
-
-    def rays(aperture: Aperture) -> RayTable:
-        if aperture.name == "cy_halves":
-            return halved
-        colour = np.array(film[_SHEETS[aperture.name]] if aperture.name in _SHEETS else np.ones(3), np.float32)
-        return replace(open_rays, weight=open_rays.weight * colour[:, None, None, None])
-
-    write_session(
-        folder, aperture=DESIGNS["cy_halves"], camera=camera, rays=rays, scenes={},
-        plan=SessionPlan(distances_mm=BOARDS_MM, tilts=TILTS, sensor=SENSOR), progress=progress,
-    )  # fmt: skip
-
-
-def calibrated_by_session(
-    folder: Path,
-    lens: Prescription,
-    halves: HalfPixels,
-    draft: Calibration,
-    *,
-    focus_mm: float,
-    progress: Progress = silent,
-    keep_in: Path | None = None,
-) -> Calibration:
-    """Calibrate a session of `write_lens_session` as the lens's maker would; distances count from the entrance pupil.
-
-    The fit of the blur starts from a thin lens at the focus of the design, with the sensor's fall of contrast.
-
-    ``draft``: its sensor, with the photographs' noise, and its working range are kept; ``focus_mm``: from the sensor;
-    ``keep_in``: of what is measured on every photograph, for a run that is interrupted.
-    """
-    sensor = draft.sensor
-    size: dict[str, Any] = {
-        "width_px": sensor.width_px, "height_px": sensor.height_px, "pixel_pitch_mm": sensor.pixel_pitch_mm,
-    }  # fmt: skip
-    optics = focused_at(lens, focus_mm)
-    pupil = pupil_camera(optics, **size)
-    scale = pupil.focal_px * pupil.pupil_radius_mm
-    pupil_mm = paraxial(optics).sensor_to_entrance_pupil_mm
-    from_pupil_mm = focus_mm - pupil_mm
-    thin = BlurModel(
-        scale / from_pupil_mm, scale, **_START_RIM, contrast_fall=sensor.width_px / 2 / halves.half_slope_px
-    )
-    matrix = centered_pinhole(pupil.focal_px, (sensor.width_px, sensor.height_px))
-    known = replace(draft, blur=thin, lens=replace(draft.lens, camera_matrix=matrix))
-    found = calibrate_session(folder, lens_from=known, progress=progress, keep_in=keep_in).camera
-    depth = {quality: with_focus_error(_from_pupil(field, pupil_mm)) for quality, field in found.depth.items()}
-    return replace(found, sensor=sensor, depth=depth, near_mm=draft.near_mm, far_mm=draft.far_mm)
-
-
-def _from_pupil(field: DepthField, pupil_mm: float) -> DepthField:
-    """Count distances from the lens's own entrance pupil; what the calibration takes for it stays an error of it."""
-    return replace(field, sensor_to_pupil_mm=field.sensor_to_pupil_mm - pupil_mm)
