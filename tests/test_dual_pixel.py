@@ -17,7 +17,7 @@ from chromaperture_paper.dual_pixel_camera import FOCUS_SIGMA, camera_for, noise
 from chromaperture_paper.dual_pixel_rays import HalfPixels
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-import dual_pixel_session  # noqa: E402
+import dual_pixel_session
 
 SHAPE = (256, 384)
 SHIFTS_PX = dual_pixel_camera._SHIFTS_PX  # private: the test is of the settings that go with them
