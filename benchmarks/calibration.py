@@ -27,8 +27,7 @@ from chromaperture.depth.conversion import DepthModel, depth_to_disparity, dispa
 from chromaperture.depth.field import DepthField
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS, made_of
-from chromaperture.optics.paraxial import focused_at
-from chromaperture.optics.pinhole import pupil_camera
+from chromaperture.optics.pinhole import focused_at, pupil_camera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_rays
 from chromaperture.optics.simulator.session import SessionPlan, write_session

@@ -36,14 +36,12 @@ from chromaperture.color.transparency_map import compensate_vignetting, flat_fie
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
 from chromaperture.effects.edge_aware import filter_disparity
-from chromaperture.effects.layered_model import layer_radii, layer_weights
+from chromaperture.effects.layered_model import Blur, LensTransfer, ThinLensBlur, layer_radii, layer_weights
 from chromaperture.effects.restore import UNFITTED_ERROR, by_tiles, fitted_settings, restore, white_gains
-from chromaperture.effects.transfer_functions import Blur, LensTransfer, ThinLensBlur
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission, made_of
 from chromaperture.optics.lens_blur import BlurModel, LensBlur
-from chromaperture.optics.paraxial import focused_at
-from chromaperture.optics.pinhole import pupil_camera
+from chromaperture.optics.pinhole import focused_at, pupil_camera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_rays, pinhole_rays
 from chromaperture.optics.simulator.render import render, render_depth, render_sharp

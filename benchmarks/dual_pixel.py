@@ -14,9 +14,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from dual_pixel_session import calibrated_by_session, write_lens_session
 
 from chromaperture.model.camera_file import Calibration
-from chromaperture.optics.paraxial import focused_at, paraxial
+from chromaperture.optics.pinhole import focused_at, paraxial
 from chromaperture.optics.prescription import Prescription
 from chromaperture_paper.dual_pixel import BOARDS_MM, correction_sentence, means, measured
 from chromaperture_paper.dual_pixel_camera import (
@@ -27,7 +28,6 @@ from chromaperture_paper.dual_pixel_camera import (
     capture,
     lens_of_json,
 )
-from chromaperture_paper.dual_pixel_session import calibrated_by_session, write_lens_session
 
 LINES = ("boards", "prescription", "uncorrected", "session")
 

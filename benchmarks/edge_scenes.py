@@ -19,7 +19,7 @@ from rooms import NEAREST_MM, cover_of_card, few_surfaces, furnished_room, photo
 
 from chromaperture.matching.planes.depth_edges import BLOCK_PX
 from chromaperture.optics.aperture import DESIGNS, made_of
-from chromaperture.optics.paraxial import focused_at
+from chromaperture.optics.pinhole import focused_at
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import RayTable, lens_rays
 from chromaperture.optics.simulator.scene import Plane, plane

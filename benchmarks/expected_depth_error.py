@@ -18,12 +18,10 @@ from chromaperture.matching.execution import execution_named
 from chromaperture.matching.labels import IDENTITY
 from chromaperture.matching.result import ESTIMATED_NOISE
 from chromaperture.matching.winner import parabola_winner
-from chromaperture.optics.aperture import DESIGNS, made_of
+from chromaperture.optics.aperture import DESIGNS, aperture_figures, film_unmixing, made_of
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
-from chromaperture.optics.metrics import aperture_figures, film_unmixing
-from chromaperture.optics.paraxial import focused_at
-from chromaperture.optics.pinhole import pupil_camera
+from chromaperture.optics.pinhole import focused_at, pupil_camera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.simulator.layer_renderer import render_layers
 from chromaperture.optics.simulator.sensor import SensorModel, develop, expose

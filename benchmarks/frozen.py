@@ -50,9 +50,8 @@ from chromaperture.matching.device import accurate_chain, gpu_method
 from chromaperture.matching.device.device import Device, Exchange, PlannedChain
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import CameraSensor, Film, Lens
-from chromaperture.optics.aperture import DESIGNS, channel_transmission, made_of
+from chromaperture.optics.aperture import DESIGNS, aperture_figures, channel_transmission, film_unmixing, made_of
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
-from chromaperture.optics.metrics import aperture_figures, film_unmixing
 from chromaperture.optics.pinhole import PupilCamera, centered_pinhole
 from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.simulator import textures

@@ -26,7 +26,7 @@ def kernels_of(quality: str) -> dict[str, list]:
     from numba.core import event
     from numba.core.dispatcher import Dispatcher
 
-    from chromaperture.color.nearest_known import fill_from_nearest
+    from chromaperture.color.alignment import fill_from_nearest
     from chromaperture.products.samples import open_sample, samples
     from chromaperture.system.compile_ahead import text_of
 

@@ -17,25 +17,22 @@ from typing import Any
 
 import cv2
 import numpy as np
+from video_signal import VideoSignal, drawn_smaller, video_frame
 
 from chromaperture.app.assistant import check_shot, sheets_of
 from chromaperture.app.calibration_job import CalibrationJob
 from chromaperture.app.session_folder import SessionFolder
 from chromaperture.app.workbench import Workbench, heard
-from chromaperture.optics.aperture import DESIGNS, Aperture, SubAperture, channel_transmission, made_of
+from chromaperture.optics.aperture import DESIGNS, OPAQUE, Aperture, Disc, SubAperture, channel_transmission, made_of
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
-from chromaperture.optics.filters import OPAQUE
-from chromaperture.optics.paraxial import focused_at
-from chromaperture.optics.pinhole import PupilCamera, pupil_camera
+from chromaperture.optics.pinhole import PupilCamera, focused_at, pupil_camera
 from chromaperture.optics.prescription import load_lens, with_filter_at
 from chromaperture.optics.ray_table import RayTable, lens_rays
-from chromaperture.optics.shapes import Disc
 from chromaperture.optics.simulator import textures
 from chromaperture.optics.simulator.render import render, render_depth
 from chromaperture.optics.simulator.scene import plane
 from chromaperture.optics.simulator.sensor import SensorModel
 from chromaperture.optics.simulator.session import wall
-from chromaperture.optics.simulator.video_signal import VideoSignal, drawn_smaller, video_frame
 from chromaperture.system.robust import MAD_TO_SIGMA
 
 QUALITIES = ("real-time", "accurate")

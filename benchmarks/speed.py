@@ -21,8 +21,7 @@ from timing import fastest_ms
 import chromaperture as cap
 from chromaperture.color.alignment import align_channels, channel_directions
 from chromaperture.color.lens_shift import LensShift
-from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
-from chromaperture.effects.refocusing import Focus, refocus
+from chromaperture.effects.refocusing import Focus, bokeh_kernel, bokeh_mask, refocus
 from chromaperture.matching.accurate import AccurateMethod, explained_surface, path_surface
 from chromaperture.matching.execution import execution_named
 from chromaperture.matching.labels import IDENTITY
@@ -35,7 +34,7 @@ from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.products.samples import open_sample
 from chromaperture.settings.methods import RealTimeConfig
 from chromaperture.system.threads import thread_count
-from chromaperture_paper.total_variation import smooth_disparity
+from chromaperture_paper.variation import smooth_disparity
 
 HEIGHT, WIDTH = 720, 1280
 NOISE = 0.004

@@ -63,7 +63,7 @@ from world_shapes import (
 
 from chromaperture.camera.camera import load_camera
 from chromaperture.optics.aperture import DESIGNS, made_of
-from chromaperture.optics.paraxial import focused_at
+from chromaperture.optics.pinhole import focused_at
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import RayTable, lens_rays
 from chromaperture.optics.simulator.render import (

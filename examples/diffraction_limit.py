@@ -15,9 +15,8 @@ matplotlib.use("Agg")
 from matplotlib import pyplot
 
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.diffraction import diffraction_psf
 from chromaperture.optics.pinhole import PupilCamera
-from chromaperture.optics.psf import geometric_psf
+from chromaperture.optics.psf import diffraction_psf, geometric_psf
 
 SIZE = 41
 

@@ -15,11 +15,16 @@ from playwright.sync_api import sync_playwright
 from apps import DESKTOP, FACTS, PHONE, REC_709, WEBGPU, chromium, render_session, served, write_y4m
 from chromaperture.app.camera_feed import CameraFeed
 from chromaperture.color.srgb import linear_to_srgb_bytes
-from chromaperture.optics.simulator.video_signal import bt709_curve
 from chromaperture.products.samples import open_sample, sample_camera, sample_image
 from test_app_page import begin, put
 
 SAMPLE = "still_life_cy_halves"
+
+
+def bt709(light: np.ndarray) -> np.ndarray:
+    """Encode by ITU-R BT.709-6, item 1.2, the curve of video cameras."""
+    light = np.clip(light, 0, 1)
+    return np.where(light < 0.018, 4.5 * light, 1.099 * light**0.45 - 0.099)
 
 
 def main(out: Path) -> None:
@@ -71,7 +76,7 @@ def cameras_and_exposures(driver, folder: Path, out: Path) -> None:
     dark = np.exp(-3 * (((x / sheet.shape[1]) - 0.5) ** 2 + ((y / sheet.shape[0]) - 0.5) ** 2))[..., None]  # vignetting
     light = np.clip((sheet[..., ::-1] - 16.0) / 1000, 0, 1) * dark
     for name, factor in (("long", 1.0), ("short", 0.25)):
-        Image.fromarray(np.rint(255 * bt709_curve(factor * light)).astype(np.uint8)).save(folder / f"{name}.png")
+        Image.fromarray(np.rint(255 * bt709(factor * light)).astype(np.uint8)).save(folder / f"{name}.png")
     feed = CameraFeed(f"{folder}/boards/board?black_level=16&white_level=1016&loop=1")
     with served(folder / "other", feeds=[feed]) as app, chromium(driver) as browser:
         page = browser.new_page(viewport=DESKTOP)

@@ -12,9 +12,9 @@ from chromaperture.color.alignment import (
     shift_back,
     white_balance,
 )
+from chromaperture.color.row_alignment import visible_from
 from chromaperture.color.srgb import linear_to_srgb, linear_to_srgb_bytes
 from chromaperture.color.unmixing import own_film_unmixing
-from chromaperture.color.visibility import visible_from
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission
 from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.simulator.render import render, render_depth

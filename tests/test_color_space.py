@@ -20,10 +20,12 @@ from chromaperture.color.color_space import (
     Transfer,
     name_of,
     of_codes,
+    of_exif,
+    of_icc,
+    of_png,
     of_values,
     to_linear,
 )
-from chromaperture.color.color_tags import of_exif, of_icc, of_png
 from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
 from chromaperture.system.errors import InputError
 

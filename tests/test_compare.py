@@ -14,8 +14,7 @@ from scipy.stats import norm
 
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.pointcloud import PointCloud, write_ply
-from chromaperture.evaluation.compare import compare_cameras, compare_depth
-from chromaperture.evaluation.compare_page import camera_page, depth_page
+from chromaperture.evaluation.compare import camera_page, compare_cameras, compare_depth, depth_page
 from chromaperture.files.map_data import every
 from chromaperture.files.map_page import Page, Panel, render
 from chromaperture.files.pictures import write_color_png, write_depth_png, write_float_tiff

@@ -14,7 +14,7 @@ from chromaperture.system import compile_ahead
 from chromaperture.system.compile_ahead import Listed, listed, text_of, type_from
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-SMALL = ("chromaperture.color.row_alignment:scale_channels", "chromaperture.depth.pointcloud_kernels:back_project")
+SMALL = ("chromaperture.color.row_alignment:scale_channels", "chromaperture.depth.pointcloud:back_project")
 
 
 @pytest.mark.parametrize(
@@ -52,7 +52,7 @@ def test_the_list_names_kernels_that_exist_longest_first():
 
 
 def test_a_kernel_that_no_longer_exists_is_left_alone():
-    assert not Listed("chromaperture.color.visibility:_gone", (("float32",),), 1.0).is_missing()
+    assert not Listed("chromaperture.color.row_alignment:_gone", (("float32",),), 1.0).is_missing()
 
 
 PROGRAM = f"""

@@ -11,11 +11,13 @@ from hypothesis import strategies as st
 
 from chromaperture.depth.conversion import (
     DepthModel,
+    PaperParameters,
     depth_to_disparity,
     disparity_to_depth,
     disparity_to_inverse_depth,
+    model_to_paper,
+    paper_to_model,
 )
-from chromaperture.depth.paper_form import PaperParameters, model_to_paper, paper_to_model
 from chromaperture.system.errors import InputError
 
 # A 50 mm f/1.8 lens on a 1920 px wide picture, complementary halves, focused at about 2 m.

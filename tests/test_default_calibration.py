@@ -10,8 +10,7 @@ from chromaperture.calibration.calibrate_session import calibrate_session, leave
 from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
-from chromaperture.evaluation.accurate_noise import chosen_boards, with_accurate_noise
-from chromaperture.evaluation.verdict import depth_accuracy
+from chromaperture.evaluation.verdict import chosen_boards, depth_accuracy, with_accurate_noise
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera

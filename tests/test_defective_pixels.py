@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from chromaperture.camera.method import noise_model, noise_of_photographs, repaired
-from chromaperture.color.defective_pixels import without_defects
+from chromaperture.color.image import without_defects
 from chromaperture.color.noise import photon_noise_variance
 from chromaperture.products.samples import open_sample
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from chromaperture.matching.planes.block_surface import NO_EDGE, depth_edges_of
 from chromaperture.matching.planes.depth_edges import BLOCK_PX, MODEL, contrast, edge_log_odds
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.paraxial import focused_at
+from chromaperture.optics.pinhole import focused_at
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_rays
 from chromaperture.optics.simulator.render import render, render_depth

@@ -1,5 +1,8 @@
 """Dual-pixel photographs: noise that both halves share, a session through a prescription, a focus that is set anew."""
 
+import sys
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
@@ -9,10 +12,12 @@ from chromaperture.depth.field import DepthField
 from chromaperture.optics.prescription import load_lens
 from chromaperture.settings.methods import ALLOWED_GROWTH, AccurateConfig
 from chromaperture.system.errors import InputError
-from chromaperture_paper import dual_pixel_camera, dual_pixel_session
-from chromaperture_paper.dual_pixel_camera import FOCUS_SIGMA, uncalibrated, with_focus_error
-from chromaperture_paper.dual_pixel_noise import camera_for, noise_scale
-from chromaperture_paper.half_pixels import HalfPixels
+from chromaperture_paper import dual_pixel_camera
+from chromaperture_paper.dual_pixel_camera import FOCUS_SIGMA, camera_for, noise_scale, uncalibrated, with_focus_error
+from chromaperture_paper.dual_pixel_rays import HalfPixels
+
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+import dual_pixel_session
 
 SHAPE = (256, 384)
 SHIFTS_PX = dual_pixel_camera._SHIFTS_PX  # private: the test is of the settings that go with them

@@ -8,6 +8,7 @@ import os
 import signal
 import threading
 import time
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -18,15 +19,13 @@ from typer.testing import CliRunner
 
 from chromaperture.cli.main import app
 from chromaperture.evaluation.figures import new_figure
-from chromaperture.optics.aperture import DESIGNS, centroids
-from chromaperture.optics.metrics import film_unmixing
+from chromaperture.optics.aperture import DESIGNS, centroids, film_unmixing
 from chromaperture.optics.psf import geometric_otf
 from chromaperture.system.errors import InputError
-from chromaperture_paper import figure_6, figure_8, methods, registry, run, sweep, world
+from chromaperture_paper import figures, methods, prior_methods, registry, run, sweep, world
 from chromaperture_paper.context import Context
-from chromaperture_paper.exhibit import Chart, Comparison, Content, CsvTable, Exhibit
-from chromaperture_paper.html_page import page_html
-from chromaperture_paper.prior import annulus, colour_lines, cross_correlation, shifts, stereo
+from chromaperture_paper.registry import Chart, Comparison, Content, CsvTable, Exhibit
+from chromaperture_paper.run import page_html
 from worlds import moved, small_trials, stored, texture
 
 LAYERS = np.arange(-4, 4.01, 0.25)
@@ -109,9 +108,10 @@ def test_missing_data_names_the_files_and_changed_data_is_read_again(tmp_path):
     assert len(calls) == 2
 
 
-def test_every_exhibit_has_its_own_file():
-    for name in registry.EXHIBITS:
-        assert Path(run.__file__).with_name(f"{name.replace('-', '_')}.py").is_file()
+def test_every_exhibit_has_its_function():
+    for exhibit in registry.EXHIBITS.values():
+        module, function = exhibit.make.args
+        assert callable(getattr(import_module(f"chromaperture_paper.{module}"), function))
 
 
 def test_an_unknown_figure_is_answered_with_the_nearest_name(tmp_path):
@@ -169,10 +169,10 @@ TRIANGLE = np.array([(0.0, -1.0), (-0.866, 0.5), (0.866, 0.5)])
 @pytest.mark.parametrize(
     "method",
     [
-        cross_correlation.cross_correlation,
-        cross_correlation.phase_correlation,
-        lambda *a: colour_lines.colour_lines(*a, optimised=False),
-        colour_lines.colour_lines,
+        prior_methods.cross_correlation,
+        prior_methods.phase_correlation,
+        lambda *a: prior_methods.colour_lines(*a, optimised=False),
+        prior_methods.colour_lines,
     ],
     ids=["ncc", "phase", "lines", "lines-optimised"],
 )
@@ -181,7 +181,7 @@ def test_prior_methods_find_a_shift_and_its_sign(rng, method, directions, dispar
     assert np.isfinite(found).mean() > 0.98  # noise sends single pixels to an end of the range
     # A tenth of a px: layers of a quarter px, a parabola between them, noise of a twentieth of the texture. Blocks cut
     # at one position overlap less the more the picture moved, which biases the phase towards 0: 6 % of 2.6 px.
-    most = 0.16 if method is cross_correlation.phase_correlation else 0.1
+    most = 0.16 if method is prior_methods.phase_correlation else 0.1
     assert abs(np.nanmedian(found) - disparity) < most
     assert np.nanmedian(np.abs(found - disparity)) < most + 0.05
 
@@ -189,13 +189,13 @@ def test_prior_methods_find_a_shift_and_its_sign(rng, method, directions, dispar
 @pytest.mark.parametrize("disparity", [-2.5, 1.5])
 def test_stereo_matcher_finds_a_shift_and_its_sign(rng, disparity):
     ends = THREE[[0, 2]]
-    found = stereo.stereo_sgbm(moved_views(rng, ends, disparity), ends, LAYERS)[INNER]
+    found = prior_methods.stereo_sgbm(moved_views(rng, ends, disparity), ends, LAYERS)[INNER]
     assert np.nanmedian(np.abs(found - disparity)) < 0.15  # whole px of stereo disparity and OpenCV's own parabola
 
 
 def test_the_colour_line_measure_is_the_product_of_eigenvalues(rng):
     image = rng.uniform(0, 1, (15, 15, 3))
-    measure = colour_lines.colour_line_measure(image, np.zeros((3, 2)), np.array([0.0]))[0, 7, 7]
+    measure = prior_methods.colour_line_measure(image, np.zeros((3, 2)), np.array([0.0]))[0, 7, 7]
     covariance = np.cov(image.reshape(-1, 3).T, bias=True)
     expected = np.prod(np.linalg.eigvalsh(covariance)) / np.prod(np.diag(covariance))
     assert measure == pytest.approx(expected, rel=1e-5)  # views are resampled in float32
@@ -209,7 +209,7 @@ def test_the_annulus_knows_the_size_of_the_blur_but_not_its_side(rng):
     for true in (-4.0, 4.0):
         blurred = [scipy.fft.irfft2(grey * otf, s=shape) for otf in geometric_otf(aperture, true, shape)]
         image = np.stack(blurred, axis=-1) + rng.normal(0, 2e-4, (*shape, 3))
-        found = annulus.annulus_radius(image, transfer, radii, shape)[INNER]
+        found = prior_methods.annulus_radius(image, transfer, radii, shape)[INNER]
         assert np.median(found) == pytest.approx(4.0, abs=0.5)  # a step of the radii
 
 
@@ -219,7 +219,7 @@ def test_largest_eigenvalues_are_those_of_the_matrices(rng):
     matrices[0] = np.diag([2.0, 2.0, 2.0])  # all alike
     matrices[1] = np.outer([1.0, 2.0, 3.0], [1.0, 2.0, 3.0])  # colours on a line
     places = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-    found = annulus.largest_eigenvalue(*(matrices[:, a, b] for a, b in places))
+    found = prior_methods.largest_eigenvalue(*(matrices[:, a, b] for a, b in places))
     # The arc cosine costs half the digits where two eigenvalues meet.
     np.testing.assert_allclose(found, np.linalg.eigvalsh(matrices)[:, -1], rtol=1e-7)
 
@@ -228,15 +228,17 @@ def test_a_shift_is_that_of_the_spline(rng):
     view = rng.normal(size=(40, 50)).astype(np.float32)
     for dx, dy in ((0.3, -2.6), (-7.25, 0.0), (11.0, 3.5)):
         expected = scipy.ndimage.shift(view, (-dy, -dx), order=3, mode="mirror")
-        np.testing.assert_allclose(shifts.sampled(shifts.spline(view), dx, dy), expected, atol=1e-5)  # float32
+        np.testing.assert_allclose(
+            prior_methods.sampled(prior_methods.spline(view), dx, dy), expected, atol=1e-5
+        )  # float32
 
 
 def test_shifts_follow_the_sign_convention():
     ramp = np.tile(np.arange(20.0, dtype=np.float32), (20, 1))
     inner = np.s_[8:12, 8:12]
-    right = shifts.sampled(shifts.spline(ramp), 1.25, 0)[inner]
+    right = prior_methods.sampled(prior_methods.spline(ramp), 1.25, 0)[inner]
     np.testing.assert_allclose(right, ramp[inner] + 1.25, atol=2e-3)  # the mirrored rim, felt 8 px away
-    up = shifts.sampled(shifts.spline(ramp.T), 0, -2)[inner]
+    up = prior_methods.sampled(prior_methods.spline(ramp.T), 0, -2)[inner]
     np.testing.assert_allclose(up, ramp.T[inner] - 2, atol=1e-4)  # whole px: the sample itself, in float32
 
 
@@ -286,9 +288,9 @@ def test_the_apertures_colour_space_separates_the_views_of_an_open_design_furthe
     camera = world.camera_of(120, 96, pitch_mm=world.SENSOR_WIDTH_MM / 480)
     rulers = np.array([1200.0, 3200.0])
     ranges = []
-    for letter, design, _, unmixing in figure_6.PANELS:
+    for letter, design, _, unmixing in figures.PANELS:
         if letter in "cd":
-            disparity, _ = figure_6.read_boards(design, unmixing, camera, rulers, cells=10)
+            disparity, _ = figures.read_boards(design, unmixing, camera, rulers, cells=10)
             ranges.append(abs(disparity[1] - disparity[0]))
     # The centroids say by how much: of the unmixed views, and of the sensor's blue and red.
     film = world.real_film("cy_open")
@@ -302,9 +304,9 @@ def test_the_bend_of_a_floor_is_told_from_its_tilt_and_noise(rng):
     truth = 2000 + 100 * y
     bowl = 0.05 * (x**2 - 1 / 3)
     tilted = truth * (1 + 0.1 * x + rng.normal(0, 0.03, x.shape))
-    assert figure_8.bend(tilted, truth) < 0.002  # medians of 600 pixels each: 0.03 / sqrt(600) * 1.25
+    assert figures.bend(tilted, truth) < 0.002  # medians of 600 pixels each: 0.03 / sqrt(600) * 1.25
     # The rms of x^2 - 1/3 is sqrt(4 / 45); ten cells across average a little of it away.
-    assert figure_8.bend(truth * (1 + bowl), truth) == pytest.approx(0.05 * np.sqrt(4 / 45), rel=0.03)
+    assert figures.bend(truth * (1 + bowl), truth) == pytest.approx(0.05 * np.sqrt(4 / 45), rel=0.03)
 
 
 # The sweep

@@ -41,9 +41,6 @@ from chromaperture.settings.stages import (
 )
 from chromaperture.system.errors import InputError
 from chromaperture.system.threads import limited_threads
-from chromaperture_paper import variation, variation_kernels
-from chromaperture_paper.total_variation import make_problem, smooth_disparity
-from chromaperture_paper.variation import Problem, State, step_sizes
 from worlds import NARROW, lens_blur, space_of, wavy_capture
 
 SLOW, FAST = execution_named("numpy"), execution_named("numba")
@@ -541,47 +538,6 @@ def test_posteriors_agree(shape, seed, layers, temperature):
     np.testing.assert_allclose(found.variance_px2, expected.variance_px2, rtol=1e-4, atol=1e-6)
     sigmas = (part.sigma_px(disparity_px) for part in (found, expected))
     np.testing.assert_allclose(*sigmas, rtol=1e-4, atol=1e-5)
-
-
-# ---- variation
-
-
-def random_problem(rng, shape=(17, 23), *, data_term="absolute", edged=True, holes=True) -> Problem:
-    weights = rng.uniform(0.2, 1, shape)
-    if holes:
-        weights[rng.random(shape) < 0.3] = 0
-    edges = rng.uniform(0, 1, (2, *shape)) if edged else None
-    return make_problem(
-        rng.normal(0, 1.5, shape), weights, edges, bounds_px=(-2.0, 2.5), fidelity=1.2, huber=0.05, data_term=data_term
-    )
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    st.tuples(st.integers(2, 40), st.integers(2, 40)),
-    SEEDS,
-    st.sampled_from(["absolute", "quadratic"]),
-    st.booleans(),
-    st.sampled_from([1, 2, 3]),
-)
-def test_iterations_of_the_variation_and_its_gap_agree(shape, seed, data_term, edged, threads):
-    problem = random_problem(np.random.default_rng(seed), shape, data_term=data_term, edged=edged, holes=False)
-    states = [State.start(problem.target) for _ in range(2)]
-    with limited_threads(threads):
-        for run, state in zip((variation_kernels, variation), states, strict=True):
-            run.iterate(problem, state, step_sizes(20, primal_step=0.35))
-    # Same operations in another order: a few float32 roundings of numbers up to 2.5, for 20 iterations.
-    np.testing.assert_allclose(states[0].u, states[1].u, atol=1e-5)
-    gaps = [run.gap_per_px(problem, states[0]) for run in (variation_kernels, variation)]
-    assert gaps[0] == pytest.approx(gaps[1], rel=1e-9, abs=1e-9)  # float64 sums
-
-
-def test_regularised_maps_agree():
-    rng = np.random.default_rng(14)
-    disparity_px, weights = rng.normal(0, 1, (31, 33)), rng.random((31, 33)) < 0.5
-    fast, slow = (smooth_disparity(disparity_px, weights, iterations=60, execution=name) for name in ("numba", "numpy"))
-    np.testing.assert_allclose(fast.disparity_px, slow.disparity_px, atol=3e-5)  # 60 float32 iterations
-    assert fast.gap_per_px == pytest.approx(slow.gap_per_px, abs=1e-5)  # of the same rounding
 
 
 # ---- blur

@@ -7,7 +7,7 @@ import pytest
 
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.system.errors import InputError
-from chromaperture_paper import bench_prior, figure_15, methods, stereo_pair, trial, world
+from chromaperture_paper import bench, figure_15, methods, prior_art, sweep, world
 from worlds import INFINITY_PX, PUPIL_MM, RULERS_MM, SCALE_PX_MM, moved, texture
 
 # Figure 15
@@ -67,11 +67,11 @@ def test_the_nearer_point_is_painted_over_the_farther():
 @pytest.mark.parametrize("distance_mm", [1300.0, 2600.0])
 def test_a_stereo_pair_gives_the_depth_of_its_shift(rng, distance_mm):
     camera = world.camera_of(240, 160)
-    shift = camera.focal_px * stereo_pair.BASELINE_MM / (distance_mm - camera.sensor_to_pupil_mm)
+    shift = camera.focal_px * prior_art.BASELINE_MM / (distance_mm - camera.sensor_to_pupil_mm)
     left = texture(rng, height=160, width=240)
     # What is at x in the left picture is at x - shift in the right one, whose camera stands farther right.
     right = moved(left, -shift, 0.0)
-    found = stereo_pair.depth_of_pair(*(np.repeat(p[..., None], 3, axis=2) for p in (left, right)), camera)
+    found = prior_art.depth_of_pair(*(np.repeat(p[..., None], 3, axis=2) for p in (left, right)), camera)
     inner = found[20:-20, 60:-20]
     # OpenCV's sub-pixel estimate is biased towards whole px, by up to a third of one.
     assert np.nanmedian(np.abs(inner / distance_mm - 1)) < 0.34 / shift
@@ -91,7 +91,7 @@ def test_a_prior_method_is_calibrated_on_the_boards_it_reads(calibrated_session,
         return methods.METHODS["normalised cross-correlation, unmixed"](image, setting)
 
     for _ in range(2):  # what was read is kept
-        model = bench_prior.fitted(result.evidence, result.session, "ncc", read, keep_in=tmp_path)
+        model = bench.fitted(result.evidence, result.session, "ncc", read, keep_in=tmp_path)
     assert len(calls) == len(RULERS_MM)
     for z in (1250.0, 2000.0, 2800.0):
         expected = INFINITY_PX - SCALE_PX_MM / (z - PUPIL_MM)
@@ -106,7 +106,7 @@ def test_a_method_that_reads_nothing_of_the_boards_cannot_be_calibrated(calibrat
         return np.zeros(image.shape[:2])
 
     with pytest.raises(InputError):
-        bench_prior.fitted(result.evidence, result.session, "none", read, keep_in=tmp_path)
+        bench.fitted(result.evidence, result.session, "none", read, keep_in=tmp_path)
 
 
 # Trials
@@ -114,10 +114,10 @@ def test_a_method_that_reads_nothing_of_the_boards_cannot_be_calibrated(calibrat
 
 def test_light_makes_walls_better_and_another_seed_another_wall():
     def scatter(exposure, seed=0):
-        one = trial.Trial(
+        one = sweep.Trial(
             "normalised cross-correlation, unmixed", "cy_halves", exposure, 120, 96, 6, seed, 0.0, "wall", 2600.0
         )
-        return trial.run_trial(one)["scatter"]
+        return sweep.run_trial(one)["scatter"]
 
     bright, dim = scatter(0.9), scatter(0.02)
     assert dim > 2 * bright  # noise falls with the root of the light: 6.7 times, where photons rule

@@ -16,7 +16,7 @@ from chromaperture.camera.alignment import ChannelAlignment
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
 from chromaperture.color.alignment import align_channels, fill_unknown, white_balance
-from chromaperture.color.visibility import visible_from
+from chromaperture.color.row_alignment import visible_from
 from chromaperture.matching.device.device import Chain, open_device
 from chromaperture.matching.device.measured import Alignment, Extras, add_alignment, add_extras
 from chromaperture.products.samples import open_sample

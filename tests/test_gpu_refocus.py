@@ -13,8 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from chromaperture.camera.camera import CodedApertureCamera
-from chromaperture.effects.refocus_device import DeviceCompositor, compositor_of
-from chromaperture.effects.refocusing import Focus, refocus
+from chromaperture.effects.refocusing import DeviceCompositor, Focus, compositor_of, refocus
 from chromaperture.matching.device.device import DeviceError, open_device
 from chromaperture.matching.device.refocus_stages import RefocusChain
 from chromaperture.products.samples import open_sample

@@ -10,15 +10,13 @@ import pytest
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS, centroids
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, displacement, sample_pupil
-from chromaperture.optics.paraxial import focused_at
-from chromaperture.optics.pinhole import PupilCamera, pupil_camera
+from chromaperture.optics.pinhole import PupilCamera, focused_at, pupil_camera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_rays, pinhole_rays
 from chromaperture.system.errors import InputError
 from chromaperture_paper import dual_pixel_camera as dual
 from chromaperture_paper.dual_pixel import score
-from chromaperture_paper.half_pixels import HalfPixels, half_pixel_rays
-from chromaperture_paper.traced_blur import fit_to_rays
+from chromaperture_paper.dual_pixel_rays import HalfPixels, fit_to_rays, half_pixel_rays
 
 CAMERA = PupilCamera(96, 64, 400.0, 12.0, 2000.0, 50.0, 0.12)
 HALVES = HalfPixels(slope=0.4, half_slope_px=40.0)

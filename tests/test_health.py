@@ -12,13 +12,11 @@ from PIL import Image
 from chromaperture.capture.exif import Exif, read_exif
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.evaluation.checks import is_healthy
-from chromaperture.evaluation.health import check_camera, outcome
-from chromaperture.evaluation.tint import measure_tint
+from chromaperture.evaluation.health import check_camera, measure_tint, outcome
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Board
 from chromaperture.optics.aperture import DESIGNS, centroids, made_of
-from chromaperture.optics.paraxial import focused_at
-from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.optics.pinhole import PupilCamera, focused_at
 from chromaperture.optics.prescription import load_lens, with_filter_at
 from chromaperture.optics.ray_table import lens_rays, pinhole_rays
 from chromaperture.optics.simulator.render import render

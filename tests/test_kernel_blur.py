@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from chromaperture.matching.estimate import estimate_disparity
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.kernel_blur import blur_from_kernels
-from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
-from chromaperture.optics.lens_otf import traced
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil, traced
 from chromaperture.settings.methods import AccurateConfig
 from chromaperture.system.errors import InputError
 from worlds import kernel_places, painted_kernels

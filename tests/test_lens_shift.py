@@ -11,12 +11,11 @@ from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
 from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.depth.conversion import DepthModel
+from chromaperture.effects.layered_model import LensTransfer, ThinLensBlur
 from chromaperture.effects.restore import focus_radius, restore
-from chromaperture.effects.transfer_functions import LensTransfer, ThinLensBlur
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.lens_blur import BlurModel
-from chromaperture.optics.lens_otf import ChannelRays, traced
+from chromaperture.optics.lens_blur import BlurModel, ChannelRays, traced
 from worlds import halves_camera, lens_blur, texture
 
 W, H = 192, 128

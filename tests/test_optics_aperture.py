@@ -9,8 +9,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from chromaperture.cli.apertures import design_table
-from chromaperture.optics.aperture import DESIGNS, channel_transmission, made_of, open_band, open_disc
-from chromaperture.optics.metrics import aperture_figures, film_unmixing
+from chromaperture.optics.aperture import (
+    DESIGNS,
+    aperture_figures,
+    channel_transmission,
+    film_unmixing,
+    made_of,
+    open_band,
+    open_disc,
+)
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.printing.aperture_file import aperture_from_dict, load_aperture
 from chromaperture.system.errors import InputError

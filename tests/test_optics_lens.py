@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from chromaperture.optics.aperture import DESIGNS
-from chromaperture.optics.paraxial import focused_at, paraxial
-from chromaperture.optics.pinhole import pupil_camera
+from chromaperture.optics.pinhole import focused_at, paraxial, pupil_camera
 from chromaperture.optics.prescription import (
     Prescription,
     Surface,
@@ -18,8 +17,7 @@ from chromaperture.optics.prescription import (
     load_lens,
     with_filter_at,
 )
-from chromaperture.optics.ray_table import lens_rays, pinhole_rays
-from chromaperture.optics.trace import trace
+from chromaperture.optics.ray_table import lens_rays, pinhole_rays, trace
 from chromaperture.system.errors import InputError
 
 WAVES = (0.605, 0.540, 0.465)

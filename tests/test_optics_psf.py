@@ -9,9 +9,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from chromaperture.optics.aperture import DESIGNS, centroids, made_of
-from chromaperture.optics.diffraction import defocus_um, diffraction_psf
 from chromaperture.optics.pinhole import PupilCamera
-from chromaperture.optics.psf import geometric_otf, geometric_psf
+from chromaperture.optics.psf import defocus_um, diffraction_psf, geometric_otf, geometric_psf
 from chromaperture.system.errors import InputError
 
 PHONE = PupilCamera(64, 64, 4.0 / 0.0014, 0.9, 400.0, 3.0, 0.0014)

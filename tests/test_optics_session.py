@@ -18,8 +18,7 @@ from chromaperture.cli.apertures import apertures
 from chromaperture.cli.simulate import simulate, simulate_rgbd
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission, made_of
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
-from chromaperture.optics.paraxial import focused_at
-from chromaperture.optics.pinhole import PupilCamera, pupil_camera
+from chromaperture.optics.pinhole import PupilCamera, focused_at, pupil_camera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.printing.aperture_file import load_aperture
 from chromaperture.optics.printing.template import outline, write_template

@@ -167,7 +167,7 @@ def test_evaluate_quality_counts_walls_and_calibrates_aloud(session, tmp_path):
     said = []
     context = Context(tmp_path, data=session, quick=True)
     context.progress = lambda *state: said.append(state)
-    quality.make(context)
+    quality.quality(context)
     walls = [state for state in said if "wall at" in state[0]]
     assert [done for _, done, _ in walls] == list(range(len(walls)))
     assert {total for *_, total in walls} == {len(walls)}  # so that the remaining time is known

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from chromaperture.cli.main import main
 from chromaperture.products.rectified import View
 from chromaperture.products.samples import sample_camera, sample_image
+from chromaperture.reconstruction.build_model import glb, quaternion, write_mesh_ply
 from chromaperture.reconstruction.clean_views import cleaned, near_steps
 from chromaperture.reconstruction.fusion import Reconstruction, orthonormal
-from chromaperture.reconstruction.model_files import glb, quaternion, write_mesh_ply
 from chromaperture.reconstruction.ray_casting import enlarged_distances, table_of
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.tracking import prepare, track
@@ -541,7 +541,7 @@ def test_a_mesh_in_order_does_not_depend_on_the_order_it_came_in(rng):
 @pytest.mark.extra("reconstruct", "open3d")
 def test_tracked_poses_go_into_an_exported_sequence(tmp_path):
     from chromaperture.products.posed_sequence import write_posed
-    from chromaperture.reconstruction.poses import Tracker
+    from chromaperture.reconstruction.build_model import Tracker
 
     lines = []
     tracker = Tracker(MATRIX, listener=lines.append)

@@ -4,12 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
-from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
 from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.refocusing import (
     Focus,
     apply_background,
     background_weight,
+    bokeh_kernel,
+    bokeh_mask,
     desaturate_background,
     refocus,
     sweep,

@@ -27,7 +27,7 @@ from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.nonlinearity import Nonlinearity
-from chromaperture.evaluation import blur_figures, figures, tables
+from chromaperture.evaluation import figures, tables
 from chromaperture.evaluation.figures import layer_errors, plane_residual
 from chromaperture.evaluation.report import report_html
 from chromaperture.evaluation.verdict import (
@@ -267,7 +267,7 @@ def test_errors_of_the_layers_are_those_put_in(result):
     camera = replace(camera, depth={**camera.depth, "accurate": DepthField.constant(first)})
     exact = replace(result.evidence.distances, from_pupil_mm=RULERS - DELTA)
     known = replace(result, calibration=camera, layers=layers, evidence=replace(result.evidence, distances=exact))
-    mm, by_blur, by_curve = blur_figures.layer_errors(known)
+    mm, by_blur, by_curve = figures.blur_layer_errors(known)
     np.testing.assert_allclose(mm, RULERS)
     np.testing.assert_allclose(by_blur, 1.0, atol=1e-4)  # float32 depth
     np.testing.assert_allclose(by_curve[0], 0.0, atol=1e-4)

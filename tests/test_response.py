@@ -17,8 +17,7 @@ from chromaperture.calibration.fit_response import fit_response, fold_board, wit
 from chromaperture.calibration.session import read_session
 from chromaperture.camera.camera import load_camera
 from chromaperture.capture.files import read_light
-from chromaperture.color.encoding import Encoding, develop_counts
-from chromaperture.color.response import KNOTS, ResponseCurve
+from chromaperture.color.encoding import KNOTS, Encoding, ResponseCurve, develop_counts
 from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS, made_of

@@ -6,9 +6,8 @@ import pytest
 
 from chromaperture.color.alignment import align_channels
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus, colour_lines, smoothness
-from chromaperture.effects.layered_model import LayeredModel, layer_radii, layer_weights
+from chromaperture.effects.layered_model import LayeredModel, ThinLensBlur, kernel_otf, layer_radii, layer_weights
 from chromaperture.effects.restore import by_tiles
-from chromaperture.effects.transfer_functions import ThinLensBlur, kernel_otf
 from chromaperture.effects.wiener import colour_covariance, extrapolated, joint_filter, natural_spectrum, sharpen_layers
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission
 from chromaperture.optics.psf import geometric_psf

@@ -14,8 +14,7 @@ from chromaperture.color.alignment import (
     white_balance,
     white_gains,
 )
-from chromaperture.color.row_alignment import align_by_rows, aligned_bands, row_moves
-from chromaperture.color.visibility import fill_hidden, visible_from
+from chromaperture.color.row_alignment import align_by_rows, aligned_bands, fill_hidden, row_moves, visible_from
 
 HEIGHT, WIDTH = 45, 70
 HALVES = np.array([[0.97, 0.0], [0.02, 0.0], [-1.0, 0.0]])

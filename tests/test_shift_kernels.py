@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from chromaperture.color.alignment import shift_back
-from chromaperture.color.shift_kernels import shift_along_rows
+from chromaperture.color.row_alignment import shift_along_rows
 
 HEIGHT, WIDTH = 11, 60
 

@@ -12,12 +12,13 @@ import pytest
 
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.optics.simulator.sensor import SensorModel
-from chromaperture.optics.simulator.video_signal import VideoSignal, bt709_curve, drawn_smaller, srgb_curve, video_frame
 from chromaperture.system.errors import InputError
 
-spec = importlib.util.spec_from_file_location(
-    "simulated_phone", Path(__file__).parents[1] / "benchmarks" / "simulated_phone.py"
-)
+BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
+sys.path.append(str(BENCHMARKS))
+from video_signal import VideoSignal, bt709_curve, drawn_smaller, srgb_curve, video_frame  # noqa: E402
+
+spec = importlib.util.spec_from_file_location("simulated_phone", BENCHMARKS / "simulated_phone.py")
 assert spec is not None
 assert spec.loader is not None
 phone = importlib.util.module_from_spec(spec)

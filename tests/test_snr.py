@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from chromaperture.color.snr import expected_loss_db, exposure_to_restore, snr_db
+from chromaperture.color.noise import expected_loss_db, exposure_to_restore, snr_db
 from chromaperture.system.errors import InputError
 
 FULL_WELL = 20000.0

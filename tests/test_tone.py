@@ -15,8 +15,7 @@ from chromaperture.calibration.session import read_session
 from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
-from chromaperture.depth.field import DepthField
-from chromaperture.depth.field_scale import with_scale_error
+from chromaperture.depth.field import DepthField, with_scale_error
 from chromaperture.matching.estimate import estimate_disparity
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera

@@ -7,20 +7,44 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from chromaperture.system.errors import InputError
+from chromaperture.system.threads import limited_threads
 from chromaperture_paper import variation_kernels
-from chromaperture_paper.total_variation import CHECK_EVERY, make_problem, smooth_disparity
 from chromaperture_paper.variation import (
     OPERATOR_NORM_SQUARED,
     Problem,
     State,
     divergence,
-    edge_weights,
-    energy,
-    gap_per_px,
     gradient,
     iterate,
-    step_sizes,
+    make_problem,
+    smooth_disparity,
 )
+
+
+def energy(problem: Problem, u: np.ndarray) -> float:
+    """Energy of a map, summed in float64."""
+    u, h = u.astype(np.float64), problem.huber
+    norm = np.hypot(*gradient(u))
+    prior = np.where(norm <= h, norm**2 / (2 * h), norm - h / 2)
+    return float(prior.sum() + (problem.weight * np.abs(u - problem.target)).sum())
+
+
+def dual_energy(problem: Problem, dual: np.ndarray) -> float:
+    """Lower bound of the energy of every map inside the bounds that a dual field proves, summed in float64.
+
+    ``D(p) = -(h / 2) sum |p|^2 - sum G*(div p)``. The conjugate G* of the data term is finite because of the bounds; a
+    piecewise linear function is greatest where it is evaluated here.
+    """
+    p = dual.astype(np.float64)
+    q = divergence(p)
+    f, w, (lo, hi) = problem.target.astype(np.float64), problem.weight.astype(np.float64), problem.bounds
+    conjugate = np.maximum(np.maximum(q * lo - w * (f - lo), q * f), q * hi - w * (hi - f))
+    return float(-problem.huber / 2 * (p**2).sum() - conjugate.sum())
+
+
+def gap_per_px(problem: Problem, state: State) -> float:
+    """Primal-dual gap per pixel: how far the energy can be above the least one; >= 0 up to rounding."""
+    return (energy(problem, state.u) - dual_energy(problem, state.dual)) / state.u.size
 
 
 def spoilt_map(rng, shape=(96, 96)):
@@ -30,23 +54,14 @@ def spoilt_map(rng, shape=(96, 96)):
     seen = truth + rng.normal(0, 0.05, shape)
     outlier = rng.random(shape) < 0.1
     seen[outlier] = rng.uniform(0, 4, outlier.sum())
-    weights = (rng.random(shape) < 0.5).astype(float)
-    return truth, seen, weights
+    seen[rng.random(shape) < 0.5] = np.nan
+    return truth, seen
 
 
-def problem(rng, shape=(17, 23), *, data_term="absolute", edged=True, huber=0.05, fidelity=1.2, holes=True):
+def problem(rng, shape=(17, 23), *, huber=0.05):
     seen = rng.normal(0, 1.5, shape)
-    weights = rng.uniform(0.2, 1, shape)
-    if holes:
-        weights[rng.random(shape) < 0.3] = 0
-    edges = rng.uniform(0, 1, (2, *shape)) if edged else None
-    return make_problem(
-        seen, weights, edges, bounds_px=(-2.0, 2.5), fidelity=fidelity, huber=huber, data_term=data_term
-    )
-
-
-def steps(count, primal_step=0.35):
-    return step_sizes(count, primal_step=primal_step)
+    seen[rng.random(shape) < 0.3] = np.nan
+    return make_problem(seen, bounds_px=(-2.0, 2.5), fidelity=1.2, huber=huber)
 
 
 @given(st.integers(2, 12), st.integers(2, 12), st.integers(0, 2**32 - 1))
@@ -65,28 +80,25 @@ def test_gradient_has_the_norm_the_steps_rely_on():
     assert 7.9 < norm <= OPERATOR_NORM_SQUARED
 
 
-@pytest.mark.parametrize("data_term", ["absolute", "quadratic"])
-@pytest.mark.parametrize("edged", [False, True])
-def test_gap_closes_and_bounds_the_energy(data_term, edged):
-    p = problem(np.random.default_rng(2), data_term=data_term, edged=edged)
-    p64 = Problem(p.target.astype(float), p.weight.astype(float), p.edges, p.bounds, p.huber, p.quadratic)
+def test_gap_closes_and_bounds_the_energy():
+    p = problem(np.random.default_rng(2))
+    p64 = Problem(p.target.astype(float), p.weight.astype(float), p.bounds, p.huber)
     state = State.start(p64.target)
     gaps = [gap_per_px(p64, state)]
     for _ in range(8):
-        iterate(p64, state, steps(500))
+        iterate(p64, state, 500)
         gaps.append(gap_per_px(p64, state))
-    assert gaps[0] > 0.05  # 1 and 1.9 are found at the start
+    assert gaps[0] > 0.05  # 1 is found at the start
     assert min(gaps) > -1e-12  # weak duality, up to rounding
     assert gaps[-1] < 1e-6
 
 
-@pytest.mark.parametrize("data_term", ["absolute", "quadratic"])
-def test_every_step_size_finds_the_same_optimum(data_term):
-    p = problem(np.random.default_rng(3), data_term=data_term)
+def test_every_step_size_finds_the_same_optimum():
+    p = problem(np.random.default_rng(3))
     found = []
     for primal_step in (0.15, 0.35, 0.8):
         state = State.start(p.target)
-        variation_kernels.iterate(p, state, steps(6000, primal_step))
+        variation_kernels.iterate(p, state, 6000, primal_step=primal_step)
         found.append(state.u)
         assert gap_per_px(p, state) < 1e-5  # 1e-7 is found
     # The optimum is unique where h and the data term are; float32 iterations stall at about 1e-4 px.
@@ -94,116 +106,76 @@ def test_every_step_size_finds_the_same_optimum(data_term):
     assert np.abs(found[2] - found[1]).max() < 5e-3
 
 
-def test_optimum_agrees_with_a_general_purpose_minimiser():
-    p = problem(np.random.default_rng(4), (6, 7), data_term="quadratic", huber=0.3)
+def test_no_map_that_a_general_purpose_minimiser_finds_is_better():
+    p = problem(np.random.default_rng(4), (6, 7), huber=0.3)
     state = State.start(p.target)
-    variation_kernels.iterate(p, state, steps(4000))
-    start = np.clip(p.target, *p.bounds).ravel().astype(float)
+    variation_kernels.iterate(p, state, 4000)
     best = minimize(
-        lambda u: energy(p, u.reshape(6, 7)), start, bounds=[p.bounds] * 42, method="L-BFGS-B",
-        options={"maxiter": 20000, "maxfun": 10**6, "ftol": 1e-14, "gtol": 1e-9},
+        lambda u: energy(p, u.reshape(6, 7)), state.u.ravel().astype(float), bounds=[p.bounds] * 42, method="Powell",
+        options={"maxiter": 200, "xtol": 1e-6, "ftol": 1e-9},
     )  # fmt: skip
-    # The minimiser differentiates numerically and reaches about 1e-6 of the energy.
-    assert energy(p, state.u) == pytest.approx(best.fun, rel=1e-5)
+    assert energy(p, state.u) <= best.fun * (1 + 1e-5)  # float32 iterations
 
 
-def test_acceleration_is_no_slower_when_every_pixel_has_a_weight():
-    p = problem(np.random.default_rng(5), data_term="quadratic", holes=False, fidelity=0.2)
-    gaps = []
-    for convexity in (0.0, float(p.weight.min())):
-        state = State.start(p.target)
-        iterate(p, state, step_sizes(200, primal_step=2.0, strong_convexity=convexity))
-        gaps.append(gap_per_px(p, state))
-    assert gaps[1] < gaps[0]
-
-
-@pytest.mark.parametrize("data_term", ["absolute", "quadratic"])
-@pytest.mark.parametrize("edged", [False, True])
 @pytest.mark.parametrize(("bands", "sweep"), [(1, 1), (1, 7), (2, 1), (2, 9), (3, 5), (5, 7), (9, 40)])
-def test_every_schedule_of_bands_and_sweeps_gives_the_readable_iterations(data_term, edged, bands, sweep):
-    p = problem(np.random.default_rng(6), (37, 29), data_term=data_term, edged=edged)
+def test_every_schedule_of_bands_and_sweeps_gives_the_readable_iterations(bands, sweep):
+    p = problem(np.random.default_rng(6), (37, 29))
     reference, fast = State.start(p.target), State.start(p.target)
-    iterate(p, reference, steps(43))
-    variation_kernels.iterate(p, fast, steps(43), bands=bands, sweep=sweep)
+    iterate(p, reference, 43)
+    variation_kernels.iterate(p, fast, 43, bands=bands, sweep=sweep)
     # Same operations in another order: a few float32 roundings of numbers up to 2.5, for 43 iterations.
     np.testing.assert_allclose(fast.u, reference.u, atol=2e-5)
     np.testing.assert_allclose(fast.extrapolated, reference.extrapolated, atol=5e-5)
     np.testing.assert_allclose(fast.dual, reference.dual, atol=2e-5)
 
 
+@settings(max_examples=40, deadline=None)
+@given(st.integers(2, 40), st.integers(2, 40), st.integers(0, 2**32 - 1), st.sampled_from([1, 2, 3]))
+def test_compiled_iterations_of_any_shape_agree(height, width, seed, threads):
+    seen = np.random.default_rng(seed).normal(0, 1.5, (height, width))
+    p = make_problem(seen, bounds_px=(-2.0, 2.5), fidelity=1.2, huber=0.05)
+    states = [State.start(p.target) for _ in range(2)]
+    with limited_threads(threads):
+        for run, state in zip((variation_kernels.iterate, iterate), states, strict=True):
+            run(p, state, 20)
+    # Same operations in another order: a few float32 roundings of numbers up to 2.5, for 20 iterations.
+    np.testing.assert_allclose(states[0].u, states[1].u, atol=1e-5)
+
+
 def test_outliers_and_missing_pixels_are_recovered():
-    truth, seen, weights = spoilt_map(np.random.default_rng(9))
-    known = weights > 0
-    before = np.sqrt(np.mean((seen - truth)[known] ** 2))
-    out = smooth_disparity(seen, weights, fidelity=0.8, iterations=500)
-    after = np.sqrt(np.mean((out.disparity_px - truth) ** 2))
+    truth, seen = spoilt_map(np.random.default_rng(9))
+    before = np.sqrt(np.nanmean((seen - truth) ** 2))
+    after = np.sqrt(np.mean((smooth_disparity(seen, fidelity=0.8, iterations=500) - truth) ** 2))
     assert before > 0.5  # 0.63 is found: there is something to recover
     # Noise 0.05 px; the rest is the staircase of a first-order prior and the step's border across the holes.
     assert after < 0.15
-    assert out.gap_per_px < 1e-3
-
-
-def test_unknown_pixels_count_as_nothing():
-    _, seen, weights = spoilt_map(np.random.default_rng(10))
-    hidden = np.where(weights > 0, seen, np.nan)
-    by_nan = smooth_disparity(hidden, fidelity=0.8)
-    by_weight = smooth_disparity(np.where(weights > 0, seen, 1e6), weights, fidelity=0.8)
-    by_nan_weight = smooth_disparity(seen, np.where(weights > 0, 1, np.nan), fidelity=0.8)
-    for other in (by_weight, by_nan_weight):
-        np.testing.assert_array_equal(by_nan.disparity_px, other.disparity_px)
-    assert np.isfinite(by_nan.disparity_px).all()
 
 
 @settings(max_examples=20, deadline=None)
-@given(st.floats(-10, 10), st.booleans())
-def test_constant_map_stays_as_it_is(value, quadratic):
-    data_term = "quadratic" if quadratic else "absolute"
-    out = smooth_disparity(np.full((9, 11), value, np.float32), data_term=data_term, iterations=40)
-    np.testing.assert_array_equal(out.disparity_px, np.float32(value))
+@given(st.floats(-10, 10))
+def test_constant_map_stays_as_it_is(value):
+    out = smooth_disparity(np.full((9, 11), value, np.float32), iterations=40)
+    np.testing.assert_array_equal(out, np.float32(value))
 
 
 def test_result_stays_inside_its_bounds_and_input_is_not_changed():
-    _, seen, weights = spoilt_map(np.random.default_rng(11))
+    _, seen = spoilt_map(np.random.default_rng(11))
     copy = seen.copy()
-    out = smooth_disparity(seen, weights, bounds_px=(0.5, 2.0), fidelity=5.0, iterations=50).disparity_px
+    out = smooth_disparity(seen, bounds_px=(0.5, 2.0), fidelity=5.0, iterations=50)
     assert out.min() >= 0.5  # the bounds
     assert out.max() <= 2.0  # the bounds
     np.testing.assert_array_equal(seen, copy)
-
-
-def test_edge_weights_keep_a_step_where_the_guide_has_one():
-    rng = np.random.default_rng(12)
-    guide = np.where(np.arange(60) < 30, 0.2, 0.7) * np.ones((40, 1))
-    truth = np.where(guide > 0.5, 1.0, 0.0)
-    seen = truth + rng.normal(0, 0.6, truth.shape)
-    edges = edge_weights(guide, edge_range=0.05)
-    blind = smooth_disparity(seen, data_term="quadratic", fidelity=0.15).disparity_px
-    aware = smooth_disparity(seen, edges=edges, data_term="quadratic", fidelity=0.15).disparity_px
-    assert np.abs(aware - truth).mean() < 0.5 * np.abs(blind - truth).mean()  # 0.05 is found
-
-
-def test_tolerance_ends_the_iteration_early():
-    _, seen, weights = spoilt_map(np.random.default_rng(13))
-    out = smooth_disparity(seen, weights, tolerance=3e-3, iterations=2000)
-    assert out.gap_per_px <= 3e-3
-    assert out.iterations < 2000
-    assert out.iterations % CHECK_EVERY == 0
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ({"disparity_px": np.full((8, 8), np.nan)}, "nothing to regularise"),
-        ({"weights": np.zeros((8, 8))}, "nothing to regularise"),
-        ({"weights": np.ones((8, 9))}, "weights must have"),
-        ({"edges": np.ones((8, 8))}, "edge weights must have"),
         ({"disparity_px": np.zeros((8, 8, 3))}, "expected a disparity map"),
         ({"bounds_px": (2.0, 1.0)}, "wrong way round"),
         ({"fidelity": 0.0}, "must be positive"),
-        ({"iterations": 0}, "iterations >= 1"),
     ],
 )
 def test_bad_input_is_named(arguments, message):
-    arguments = {"disparity_px": np.zeros((8, 8)), **arguments}
     with pytest.raises(InputError, match=message):
-        smooth_disparity(arguments.pop("disparity_px"), arguments.pop("weights", None), **arguments)
+        smooth_disparity(**{"disparity_px": np.zeros((8, 8)), **arguments})

@@ -13,7 +13,7 @@ from chromaperture.camera.method import default_config
 from chromaperture.color.alignment import fill_unknown
 from chromaperture.color.image import SATURATION
 from chromaperture.depth.conversion import disparity_to_depth
-from chromaperture.depth.field_bands import field_to_depth
+from chromaperture.depth.field import field_to_depth
 from chromaperture.matching import compiled as cpu
 from chromaperture.matching import readable as stages
 from chromaperture.matching.readable.upsample import Coarse
@@ -118,7 +118,7 @@ def test_cut_off_is_what_has_a_share_in_a_saturated_pixel(size):
 
 
 def test_depth_in_bands_is_depth_of_the_whole(monkeypatch):
-    monkeypatch.setattr("chromaperture.depth.field_bands._BAND_PX", 96 * 5)
+    monkeypatch.setattr("chromaperture.depth.field._BAND_PX", 96 * 5)
     rng = np.random.default_rng(4)
     d = rng.uniform(-5, 5, (64, 96)).astype(np.float32)
     d[3, 4] = np.nan

@@ -26,7 +26,7 @@ from chromaperture.optics.simulator.scene import Plane, plane
 from chromaperture.optics.simulator.textures import noise
 from chromaperture.settings.methods import PaperConfig
 from chromaperture.settings.stages import BilateralConfig, CorrelationConfig, LayersConfig
-from chromaperture_paper.trial import Trial
+from chromaperture_paper.sweep import Trial
 
 # ---- textured planes, displaced view by view as the aperture would displace them
 

@@ -10,11 +10,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import chromaperture as cap
-from chromaperture.optics.aperture import made_of, pupil_grid
+from chromaperture.optics.aperture import aperture_figures, made_of, pupil_grid
 from chromaperture.optics.depth_error_bound import expected_accuracy
-from chromaperture.optics.metrics import aperture_figures
-from chromaperture.optics.paraxial import focused_at
-from chromaperture.optics.pinhole import pupil_camera
+from chromaperture.optics.pinhole import focused_at, pupil_camera
 from chromaperture.optics.prescription import load_lens
 
 camera = pupil_camera(focused_at(load_lens("double_gauss_50"), 2000), width_px=720, height_px=480, pixel_pitch_mm=0.031)

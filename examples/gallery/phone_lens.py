@@ -12,10 +12,9 @@ import numpy as np
 import chromaperture as cap
 from chromaperture.optics.aperture import centroids, made_of
 from chromaperture.optics.depth_error_bound import expected_accuracy
-from chromaperture.optics.diffraction import diffraction_psf
-from chromaperture.optics.paraxial import focused_at
-from chromaperture.optics.pinhole import pupil_camera
+from chromaperture.optics.pinhole import focused_at, pupil_camera
 from chromaperture.optics.prescription import load_lens
+from chromaperture.optics.psf import diffraction_psf
 
 WIDTH, HEIGHT, SENSOR_MM = 1440, 960, 3.6
 design = made_of(cap.DESIGNS["cy_halves"], "real")

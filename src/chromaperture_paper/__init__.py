@@ -1,1 +1,1 @@
-"""Section 4 of the paper again: one small file a figure or table, and the frame that runs them."""
+"""Section 4 of the paper again: figures and tables as functions, and the frame that runs them."""

@@ -13,7 +13,7 @@ from chromaperture.system.errors import InputError
 from chromaperture_paper.registry import EXHIBITS
 
 if TYPE_CHECKING:
-    from chromaperture_paper.exhibit import Exhibit
+    from chromaperture_paper.registry import Exhibit
     from chromaperture_paper.run import Outcome
 
 
@@ -51,8 +51,8 @@ def evaluate(
     from chromaperture.cli.console import compile_kernels, print_json, progress, say_warning
     from chromaperture.system.cluster import dask_distributed
     from chromaperture_paper.context import Context
-    from chromaperture_paper.html_page import write_page
     from chromaperture_paper.run import evaluate as run
+    from chromaperture_paper.run import write_page
 
     if workers < 0:
         raise InputError(f"--workers must be at least 0, got {workers}")

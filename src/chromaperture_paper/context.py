@@ -14,8 +14,7 @@ from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.simulator.scene import Plane
 from chromaperture.optics.simulator.session import SessionPlan, write_session
 from chromaperture_paper import world
-from chromaperture_paper.sweep import sweep
-from chromaperture_paper.trial import Trial
+from chromaperture_paper.sweep import Trial, sweep
 
 T = TypeVar("T")
 DESIGN = "cy_halves"  # of the session: V, the paper's choice for depth

@@ -25,11 +25,11 @@ from chromaperture_paper.dual_pixel_camera import (
     Corrections,
     calibrated_by_boards,
     calibrated_by_prescription,
+    camera_for,
     capture,
     lens_of_json,
 )
-from chromaperture_paper.dual_pixel_noise import camera_for
-from chromaperture_paper.exhibit import Chart, Content, CsvTable
+from chromaperture_paper.registry import Chart, Content, CsvTable
 
 FOLDER = Path("real") / "rf50_dual_pixel"  # below --data
 BOARDS_MM = (600.0, 1500.0)
@@ -64,7 +64,7 @@ class Scene(NamedTuple):
         return "boxes" if self.name.startswith("box") else "casual"
 
 
-def make(context: Context) -> Content:
+def dual_pixel(context: Context) -> Content:
     """Measure all scenes by both lines."""
     if context.data is None:
         raise InputError("dual-pixel needs photographs: give their folder with --data")

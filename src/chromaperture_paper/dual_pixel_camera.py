@@ -1,6 +1,6 @@
 """A dual-pixel camera as one with a cyan/yellow pupil: its photographs, and its calibration from a lens prescription.
 
-The two halves of every pixel see the pupil through opposite ramps (`half_pixels.py`). Red takes the half that
+The two halves of every pixel see the pupil through opposite ramps (`dual_pixel_rays.py`). Red takes the half that
 sees the right of the pupil, blue the other, green their mean. What the prescription cannot know is the sensor's
 crosstalk, two numbers, and how far the lens's focus is off its mark: both are taken from two flat boards.
 
@@ -13,6 +13,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -30,15 +31,13 @@ from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import CameraSensor, Film
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.lens_blur import BlurModel, LensBlur
-from chromaperture.optics.paraxial import focused_at
-from chromaperture.optics.pinhole import centered_pinhole, pupil_camera
+from chromaperture.optics.pinhole import centered_pinhole, focused_at, pupil_camera
 from chromaperture.optics.prescription import Prescription, lens_from_dict
 from chromaperture.optics.ray_table import lens_rays
 from chromaperture.settings.methods import QUALITIES, AccurateConfig, Quality
 from chromaperture.system.errors import InputError
 from chromaperture.system.robust import huber_weights, robust_sigma
-from chromaperture_paper.half_pixels import HalfPixels
-from chromaperture_paper.traced_blur import fit_to_rays
+from chromaperture_paper.dual_pixel_rays import HalfPixels, fit_to_rays
 
 SENSOR_WIDTH_MM = 36.0  # full frame
 FOCUS_MM = 1000.0  # from the sensor, as the set states
@@ -292,3 +291,66 @@ def _covariance(distances_mm: Sequence[float], scatter_px: Sequence[float]) -> n
     to_infinity = np.array([0.0, 1.0]) + to_scale * far
     jacobian = np.stack([to_infinity, to_scale, np.zeros(2)])
     return np.asarray(jacobian @ np.diag(np.square(scatter_px)) @ jacobian.T)
+
+
+# Chosen by hand: squares small enough to lie between edges, and enough of them in a range of light for a percentile
+_SQUARE_PX = 16
+_PERCENTILE = 10  # of the squares' power in a range of light: the others hold detail
+_RANGES_OF_LIGHT = np.linspace(0, 1, 9) ** 2
+_LEAST_SQUARES = 30
+_NOISIEST = 3  # ranges of light whose mean counts: where rounding leaves none of the noise the measure is too small
+_TEXTURED = 2.0  # times the median of all ranges of light: such a range has no flat squares
+# Red and blue share half of their noise, and green is their mean: as a pattern of all three channels, noise has 3 times
+# the power that green has. The likelihood takes channels' noise to be independent, so that each gets as much.
+_SHARED = 3.0
+_LAPLACIAN = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6  # of unit power for white noise
+
+
+def noise_scale(image: np.ndarray, calibration: Calibration) -> float:
+    """Measure how many times a photograph's noise variance is that of its camera, at least 1.
+
+    Both halves of a pixel share noise: on walls without detail, at all frequencies, the power of their sum is 2 to 3
+    times that of their difference. Against a model of noise of their own, what they share is sharp detail without
+    parallax, and blank walls stand at the focus.
+
+    ``image`` (H, W, 3) float32, linear: of `capture`; ``calibration``: with the sensor's noise.
+    """
+    variance = sensor_noise(image, calibration)
+    if variance is None:
+        return 1.0
+    power, light = (_squares(part) for part in (cv2.filter2D(image[..., 1], -1, _LAPLACIAN) ** 2 / variance[..., 1],
+                                                image[..., 1]))  # fmt: skip
+    found = []
+    for low, high in pairwise(_RANGES_OF_LIGHT):
+        inside = (light >= low) & (light < high)
+        if inside.sum() >= _LEAST_SQUARES:
+            found.append(float(np.percentile(power[inside], _PERCENTILE)))
+    flat = [power for power in found if power <= _TEXTURED * np.median(found)]
+    return max(1.0, _SHARED * float(np.mean(sorted(flat)[-_NOISIEST:]))) if flat else 1.0
+
+
+def _squares(picture: np.ndarray) -> np.ndarray:
+    """Mean of every square; flat."""
+    rows, columns = (n // _SQUARE_PX for n in picture.shape)
+    whole = picture[: rows * _SQUARE_PX, : columns * _SQUARE_PX]
+    return np.asarray(whole.reshape(rows, _SQUARE_PX, columns, _SQUARE_PX).mean(axis=(1, 3)).ravel())
+
+
+def camera_for(image: np.ndarray, calibration: Calibration, quality: Quality) -> CodedApertureCamera:
+    """Return the camera with the noise of one photograph, its settings those of the calibration.
+
+    Where it matches with the blur, the settings are those of half pixels.
+    """
+    config = default_config(calibration, quality)
+    matcher = config.matcher
+    if not isinstance(matcher, AccurateConfig) or not matcher.uses_blur:
+        return CodedApertureCamera(calibration, config)
+    matcher = matcher.with_half_pixels()
+    config = replace(config, matcher=matcher)
+    sensor, times = calibration.sensor, noise_scale(image, calibration)
+    if sensor.full_well_electrons is not None and sensor.read_noise_electrons is not None:
+        sensor = replace(
+            sensor, full_well_electrons=sensor.full_well_electrons / times,
+            read_noise_electrons=sensor.read_noise_electrons / np.sqrt(times),
+        )  # fmt: skip
+    return CodedApertureCamera(replace(calibration, sensor=sensor), config)

@@ -23,7 +23,7 @@ from chromaperture.reconstruction.volume import open3d
 from chromaperture.system.errors import MissingDependencyError
 from chromaperture_paper import methods, world
 from chromaperture_paper.context import Context
-from chromaperture_paper.exhibit import Chart, Comparison, Content
+from chromaperture_paper.registry import Chart, Comparison, Content
 
 PIVOT_MM = np.array([0.0, 0.0, 2200.0])  # centre of the camera's orbit, in the middle of the still life
 _STEP_DEG, _NOD_DEG = 0.8, 1.0  # yaw from frame to frame; amplitude of the pitch; chosen by hand
@@ -44,7 +44,7 @@ class Model:
     track_ms: float
 
 
-def make(context: Context) -> Content:
+def figure_15(context: Context) -> Content:
     """Swing the simulated camera about a still life; measure, track, fuse, and render the model from elsewhere."""
     simulated = context.simulated
     result, source = simulated.calibrated()

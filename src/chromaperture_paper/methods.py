@@ -18,19 +18,21 @@ from chromaperture.matching.estimate import estimate_disparity
 from chromaperture.matching.labels import LabelMap
 from chromaperture.matching.result import Disparity
 from chromaperture.matching.views import view_spaces
-from chromaperture.optics.aperture import DESIGNS, centroids
+from chromaperture.optics.aperture import DESIGNS, aperture_figures, centroids, film_unmixing
 from chromaperture.optics.depth_error_bound import expected_accuracy
-from chromaperture.optics.metrics import aperture_figures, film_unmixing
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.psf import geometric_otf
 from chromaperture.optics.simulator.sensor import SensorModel
 from chromaperture.settings.methods import Quality, preset
 from chromaperture.system.robust import robust_sigma
 from chromaperture_paper import world
-from chromaperture_paper.prior.annulus import annulus_radius
-from chromaperture_paper.prior.colour_lines import colour_lines
-from chromaperture_paper.prior.cross_correlation import cross_correlation, phase_correlation
-from chromaperture_paper.prior.stereo import stereo_sgbm
+from chromaperture_paper.prior_methods import (
+    annulus_radius,
+    colour_lines,
+    cross_correlation,
+    phase_correlation,
+    stereo_sgbm,
+)
 
 T = TypeVar("T")
 RANGE_MM = np.array([1000.0, 4500.0])  # working range; the scenes are at 1.15 to 3.3 m

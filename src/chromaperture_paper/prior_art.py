@@ -1,18 +1,23 @@
-"""Prior art beside the project's own method: the same captures, the same boards to calibrate on."""
+"""Prior art beside the project's own method: the same captures and boards; and two ordinary cameras side by side."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from chromaperture.color.color_maps import DISTANCE
 from chromaperture.evaluation.figures import new_figure, show_image
 from chromaperture.optics.aperture import channel_transmission
 from chromaperture.optics.pinhole import PupilCamera
-from chromaperture_paper import methods, stereo_pair, world
+from chromaperture.optics.ray_table import pinhole_rays
+from chromaperture.optics.simulator.scene import Plane
+from chromaperture_paper import methods, world
 from chromaperture_paper.context import Context
-from chromaperture_paper.exhibit import Chart, Content, CsvTable
+from chromaperture_paper.prior_methods import semi_global_matching
+from chromaperture_paper.registry import Chart, Content, CsvTable
 from chromaperture_paper.world import NUMERALS, Capture, full_name
 
 DESIGNS_READ = ("rgb_squares", "cmy_circles", "cy_halves", "cy_open", "magenta_annulus")
@@ -22,7 +27,7 @@ _SEED = 3
 Row = tuple[str, ...]
 
 
-def make(context: Context) -> Content:
+def prior_art(context: Context) -> Content:
     """Run every method that can read a design on a grey and a coloured still life."""
     camera = world.camera_of(*context.scene_size)
     scenes = [world.still_life(seed=_SEED, saturation=s) for s in _SATURATIONS]
@@ -35,9 +40,9 @@ def make(context: Context) -> Content:
                 rows += found
                 if design == _SHOWN:
                     pictures[name], truth = depths[1], shots[1].depth_mm
-    pair = [stereo_pair.measured(s, camera, seed=_SEED, cells=context.cells) for s in scenes]
+    pair = [measured_by_pair(s, camera, seed=_SEED, cells=context.cells) for s in scenes]
     shots, depths, seconds = zip(*pair, strict=True)
-    light = 1 / stereo_pair.STOPPED**2
+    light = 1 / STOPPED**2
     rows.append(_row("two cameras, OpenCV StereoSGBM", "two lenses at f/8", light, depths, shots, seconds[1]))
     pictures |= {"two cameras, 60 mm apart": depths[1], "truth": truth}
     figure = new_figure(width=8.5, height=5.0)
@@ -58,7 +63,7 @@ def make(context: Context) -> Content:
             "Every prior method is implemented from its publication's formulas. Graph cuts of [4] are replaced by "
             "semi-global paths over the same measure; the likelihood of [5] is divided by the gradient's energy, "
             "without which the largest blur always wins on this film.",
-            f"Two cameras {stereo_pair.BASELINE_MM:g} mm apart are what a user would pick instead: stopped down to f/8 "
+            f"Two cameras {BASELINE_MM:g} mm apart are what a user would pick instead: stopped down to f/8 "
             "so that all is sharp, each with a sixteenth of the light, exposed to the same level; calibration, "
             "synchronisation and a second camera are not counted. Their baseline is seven times that of the halves.",
             "Times are of this run on this machine, prior methods in plain NumPy and OpenCV: orders of magnitude only.",
@@ -100,3 +105,40 @@ def _row(
     found = [methods.scores(depth, shot.depth_mm) for depth, shot in zip(depths, shots, strict=True)]
     within = [f"{s[key]:.1%}" for s in found for key in ("within_2", "within_5")]
     return name, design, f"{light:.0%}", *within, f"{found[1]['fill']:.1%}", f"{1000 * seconds:.0f}"
+
+
+BASELINE_MM, STOPPED = 60.0, 4.0  # as in commercial pairs; f/2 stopped down to f/8, so that all is sharp
+_NEAREST_MM = 1000.0  # of the searched range, as the coded cameras'
+
+
+def measured_by_pair(
+    planes: Sequence[Plane], camera: PupilCamera, *, seed: int, cells: int
+) -> tuple[world.Capture, np.ndarray, float]:
+    """Photograph a scene with two cameras, exposed to the same level as the others, and match them.
+
+    Returns ``capture`` the left picture and its truth; ``depth_mm`` (H, W) float64, NaN unknown; ``seconds`` of the
+    matching.
+    """
+    stopped = replace(camera, pupil_radius_mm=camera.pupil_radius_mm / STOPPED)
+    table = pinhole_rays(stopped, world.real_film("open"), cells=cells)
+    shots = [
+        world.photograph(table, _beside(planes, x), stopped, seed=seed + i, exposure=world.WHITE)
+        for i, x in enumerate((0.0, BASELINE_MM))
+    ]
+    return shots[0], *methods.timed(depth_of_pair, shots[0].image, shots[1].image, camera)
+
+
+def depth_of_pair(left: np.ndarray, right: np.ndarray, camera: PupilCamera) -> np.ndarray:
+    """Match two pictures of cameras side by side; depth from the sensor plane, (H, W) float64, mm, NaN unknown."""
+    scale = camera.focal_px * BASELINE_MM
+    count = 16 * int(np.ceil(scale / (_NEAREST_MM - camera.sensor_to_pupil_mm) / 16))
+    pair = [(255 * np.sqrt(np.clip(picture.mean(axis=2), 0, 1))).astype(np.uint8) for picture in (left, right)]
+    padded = [cv2.copyMakeBorder(p, 0, 0, count, 0, cv2.BORDER_REFLECT_101) for p in pair]
+    disparity = semi_global_matching(padded[0], padded[1], 0, count)[:, count:].astype(float)
+    with np.errstate(divide="ignore"):
+        return np.where(disparity > 0, scale / disparity + camera.sensor_to_pupil_mm, np.nan)
+
+
+def _beside(planes: Sequence[Plane], x_mm: float) -> list[Plane]:
+    """Transform planes into the frame of a camera that stands farther right."""
+    return [replace(p, center_mm=p.center_mm - np.array([x_mm, 0, 0])) for p in planes]

@@ -22,7 +22,7 @@ from chromaperture.system.errors import InputError
 from chromaperture.system.robust import robust_sigma
 from chromaperture_paper import world
 from chromaperture_paper.context import Context
-from chromaperture_paper.exhibit import Chart, Content, CsvTable
+from chromaperture_paper.registry import Chart, Content, CsvTable
 
 _MOST_QUICK = 6  # boards of a quick run
 _MAP_CELLS = (6, 9)  # rows, columns
@@ -40,7 +40,7 @@ class Wall:
 
 
 @dataclass(frozen=True)
-class Measured:
+class QualityRow:
     """Depth quality of one wall: whole, in nine zones, and in the cells of a map."""
 
     truth_mm: float
@@ -49,11 +49,11 @@ class Measured:
     map: list[PlaneQuality]
 
 
-def make(context: Context) -> Content:
+def quality(context: Context) -> Content:
     """Measure all walls."""
     source, count, walls = _walls(context)
     qualities: tuple[Quality, ...] = ("real-time",) if context.quick else ("real-time", "accurate")
-    measured: dict[Quality, list[Measured]] = {quality: [] for quality in qualities}
+    measured: dict[Quality, list[QualityRow]] = {quality: [] for quality in qualities}
     for number, wall in enumerate(walls):
         for k, quality in enumerate(qualities):
             what = f"quality {quality} of the wall at {wall.truth_mm:.0f} mm"
@@ -64,7 +64,7 @@ def make(context: Context) -> Content:
     return _content(source, measured)
 
 
-def measure(wall: Wall, quality: Quality) -> Measured:
+def measure(wall: Wall, quality: Quality) -> QualityRow:
     """Measure a wall and compute its depth quality."""
     camera = CodedApertureCamera(wall.calibration, default_config(wall.calibration, quality))
     depth = np.asarray(camera.measure(wall.image).depth_mm, float)
@@ -74,7 +74,7 @@ def measure(wall: Wall, quality: Quality) -> Measured:
     def cut(rows: int, columns: int) -> list[PlaneQuality]:
         return by_cell(depth, wall.truth_mm, sensor_to_pupil_mm=delta, scale_px_mm=scale, rows=rows, columns=columns)
 
-    return Measured(wall.truth_mm, cut(1, 1)[0], cut(3, 3), cut(*_MAP_CELLS))
+    return QualityRow(wall.truth_mm, cut(1, 1)[0], cut(3, 3), cut(*_MAP_CELLS))
 
 
 def _walls(context: Context) -> tuple[str, int, Iterator[Wall]]:
@@ -135,7 +135,7 @@ def _simulated(context: Context, calibration: Calibration) -> Iterator[Wall]:
         yield Wall(context.session_capture(planes, seed=seed).image, distance, calibration)
 
 
-def _content(source: str, measured: dict[Quality, list[Measured]]) -> Content:
+def _content(source: str, measured: dict[Quality, list[QualityRow]]) -> Content:
     first: Quality = next(reversed(measured))
     by_distance = [
         (quality, f"{m.truth_mm:.0f}", *_cells(m.whole)) for quality, found in measured.items() for m in found
@@ -167,7 +167,7 @@ def _content(source: str, measured: dict[Quality, list[Measured]]) -> Content:
     )  # fmt: skip
 
 
-def _distance_figure(measured: dict[Quality, list[Measured]]) -> Figure:
+def _distance_figure(measured: dict[Quality, list[QualityRow]]) -> Figure:
     figure = new_figure(height=4.8)
     panels = figure.subplots(2, 2).ravel()
     quantities = (("fill, %", 100), ("Z accuracy, %", 100), ("plane-fit RMS, %", 100), ("sub-pixel RMS, px", 1))
@@ -183,7 +183,7 @@ def _distance_figure(measured: dict[Quality, list[Measured]]) -> Figure:
     return figure
 
 
-def _frame_figure(found: list[Measured]) -> Figure:
+def _frame_figure(found: list[QualityRow]) -> Figure:
     figure = new_figure(height=2.4)
     cells = np.array([astuple(_median([m.map[i] for m in found])) for i in range(_MAP_CELLS[0] * _MAP_CELLS[1])])
     fill, accuracy, rms = (100 * cells[:, k].reshape(_MAP_CELLS) for k in range(3))

@@ -1,12 +1,11 @@
-"""Total variation by the first-order primal-dual algorithm, in plain NumPy.
+"""Total variation of a disparity map, the regularisation of the paper's Figure 10 (its reference [6]).
 
-The oracle of ``compiled/variation.py``. Minimises over ``lo <= u <= hi`` the energy ::
+Minimises over ``lo <= u <= hi`` by the first-order primal-dual algorithm the energy (Huber-L1) ::
 
-    sum |(ex du/dx, ey du/dy)|_h  +  fidelity * sum w * |u - f|        data_term "absolute" (Huber-L1)
-    sum |(ex du/dx, ey du/dy)|_h  +  fidelity / 2 * sum w * (u - f)^2   data_term "quadratic" (Huber-ROF)
+    sum |(du/dx, du/dy)|_h  +  fidelity * sum |u - f| over the known pixels,
 
-with the Huber norm ``|g|_h = g^2 / (2 h)`` up to ``h`` and ``|g| - h / 2`` beyond. ``w`` = 0 inpaints a pixel, and the
-edge weights ``ex``, ``ey`` in [0, 1] let the map break where the picture does.
+with the Huber norm ``|g|_h = g^2 / (2 h)`` up to ``h`` and ``|g| - h / 2`` beyond. Regularise disparity, which is
+affine in inverse depth, never depth itself. `iterate` is the oracle of ``variation_kernels.py``.
 
 References
 ----------
@@ -18,11 +17,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
+import cv2
 import numpy as np
 
-OPERATOR_NORM_SQUARED = 8.0  # of the forward-difference gradient; edge weights up to 1 do not raise it
+from chromaperture.system.errors import InputError
+
+OPERATOR_NORM_SQUARED = 8.0  # of the forward-difference gradient
+PRIMAL_STEP = 1 / math.sqrt(OPERATOR_NORM_SQUARED)  # affects the speed of convergence, not the result
 
 
 @dataclass(frozen=True)
@@ -30,20 +32,17 @@ class Problem:
     """One convex problem, checked and without NaN."""
 
     target: np.ndarray  # (H, W) float32; f, inside the bounds
-    weight: np.ndarray  # (H, W) float32; fidelity * w >= 0
-    edges: np.ndarray | None  # (2, H, W) float32 or None; ex and ey of the links to the right and downwards, in [0, 1]
-    bounds: tuple[float, float]  # (float, float); lo and hi
-    huber: float  # float; h, in the unit of u a px
-    quadratic: bool
+    weight: np.ndarray  # (H, W) float32; the fidelity, 0 where f is unknown
+    bounds: tuple[float, float]  # lo and hi
+    huber: float  # h, in the unit of u a px
 
 
 @dataclass
 class State:
     """State of the iteration: changed in place."""
 
-    # ``u``, ``extrapolated``: (H, W) float32.
-    u: np.ndarray
-    extrapolated: np.ndarray
+    u: np.ndarray  # (H, W) float32
+    extrapolated: np.ndarray  # (H, W) float32
     dual: np.ndarray  # (2, H, W) float32
 
     @classmethod
@@ -52,36 +51,63 @@ class State:
         return cls(u.copy(), u.copy(), np.zeros((2, *u.shape), u.dtype))
 
 
-class Steps(NamedTuple):
-    """Step sizes of successive iterations; (N,) float64 each."""
+def smooth_disparity(
+    disparity_px: np.ndarray,
+    *,
+    fidelity: float = 1.0,
+    bounds_px: tuple[float, float] | None = None,
+    huber_px: float = 0.02,
+    iterations: int = 300,
+) -> np.ndarray:
+    """Regularise a disparity map by its total variation; (H, W) float32, px, known everywhere.
 
-    primal: np.ndarray
-    dual: np.ndarray
-    extrapolation: np.ndarray
-
-
-def edge_weights(guide: np.ndarray, *, edge_range: float, floor: float = 0.05) -> np.ndarray:
-    """Weights of the links to the right and downwards: 1 on an even guide, ``floor`` across its edges.
-
-    ``guide`` (H, W) float; ``edge_range``: guide difference at which the weight has fallen to 1/e, in the guide's unit.
-    Returns (2, H, W) float32: the last column and the last row have no link and hold 1.
+    ``disparity_px`` (H, W) float, px: NaN is unknown and is filled in; ``fidelity``: per px, against a total variation
+    of weight 1; ``bounds_px``: range of the result, that of the known values when absent; ``huber_px``: slopes below
+    are smoothed, not flattened into steps, px per px. Raises InputError: nothing is known, or a parameter is out of
+    range.
     """
-    edges = np.ones((2, *guide.shape), np.float32)
-    edges[0, :, :-1] = floor + (1 - floor) * np.exp(-np.abs(np.diff(guide, axis=1)) / edge_range)
-    edges[1, :-1] = floor + (1 - floor) * np.exp(-np.abs(np.diff(guide, axis=0)) / edge_range)
-    return edges
+    from chromaperture_paper import variation_kernels  # compiling starts here, not at import
+
+    problem = make_problem(disparity_px, fidelity=fidelity, bounds_px=bounds_px, huber=huber_px)
+    state = State.start(problem.target)
+    variation_kernels.iterate(problem, state, iterations)
+    return state.u
 
 
-def step_sizes(iterations: int, *, primal_step: float, strong_convexity: float = 0.0) -> Steps:
-    """Return the steps of every iteration; a strongly convex data term makes them converge as O(1/N^2)."""
-    primal = np.full(iterations, float(primal_step))
-    extrapolation = np.ones(iterations)
-    if strong_convexity > 0:
-        for n in range(iterations):
-            extrapolation[n] = 1 / math.sqrt(1 + 2 * strong_convexity * primal[n])
-            if n + 1 < iterations:
-                primal[n + 1] = extrapolation[n] * primal[n]
-    return Steps(primal, 1 / (OPERATOR_NORM_SQUARED * primal), extrapolation)
+def make_problem(
+    disparity_px: np.ndarray, *, fidelity: float, bounds_px: tuple[float, float] | None, huber: float
+) -> Problem:
+    """Check a map, and replace the unknown; raises InputError."""
+    if not (fidelity > 0 and huber >= 0):
+        raise InputError("fidelity must be positive and huber_px >= 0")
+    target = np.array(disparity_px, np.float32)  # a copy
+    if target.ndim != 2 or min(target.shape) < 2:
+        raise InputError(f"expected a disparity map of shape (height, width), got {target.shape}")
+    known = np.isfinite(target)
+    if not known.any():
+        raise InputError("no pixel of the map is known: nothing to regularise")
+    if bounds_px is None:
+        bounds_px = float(target[known].min()), float(target[known].max())
+    if not bounds_px[0] <= bounds_px[1]:
+        raise InputError(f"the bounds {bounds_px[0]:g}..{bounds_px[1]:g} px are the wrong way round")
+    if not known.all():
+        target = _fill(target, known)
+    np.clip(target, *bounds_px, out=target)
+    return Problem(target, np.where(known, np.float32(fidelity), np.float32(0)), bounds_px, huber)
+
+
+def _fill(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Fill holes from an image pyramid: a start near the optimum, for a small hole and for a large one."""
+    mass = known.astype(np.float32)
+    total = np.where(known, values, 0).astype(np.float32)
+    if min(values.shape) > 1 and not known.all():
+        half = ((values.shape[1] + 1) // 2, (values.shape[0] + 1) // 2)
+        coarse_mass = cv2.resize(mass, half, interpolation=cv2.INTER_AREA)
+        coarse = cv2.resize(total, half, interpolation=cv2.INTER_AREA) / np.maximum(coarse_mass, 1e-6)
+        coarse = _fill(coarse, coarse_mass > 1e-6)
+        size = (values.shape[1], values.shape[0])
+        return np.where(known, values, cv2.resize(coarse, size, interpolation=cv2.INTER_LINEAR))
+    return np.where(known, values, total.sum() / max(float(mass.sum()), 1.0)).astype(np.float32)
 
 
 def gradient(u: np.ndarray) -> np.ndarray:
@@ -102,54 +128,19 @@ def divergence(p: np.ndarray) -> np.ndarray:
     return out
 
 
-def iterate(problem: Problem, state: State, steps: Steps) -> None:
-    """Run the primal-dual iterations on ``state``, in plain NumPy: the oracle of ``compiled/variation.py``."""
+def iterate(problem: Problem, state: State, iterations: int, *, primal_step: float = PRIMAL_STEP) -> None:
+    """Run the primal-dual iterations on ``state``, in plain NumPy."""
     f, lo, hi = problem.target, *problem.bounds
-    for tau, sigma, theta in zip(*(s.astype(f.dtype) for s in steps), strict=True):
-        p = state.dual + sigma * _weighted(gradient(state.extrapolated), problem.edges)
-        p /= 1 + sigma * f.dtype.type(problem.huber)
+    tau, sigma, huber = (f.dtype.type(v) for v in (*step_sizes(primal_step), problem.huber))
+    for _ in range(iterations):
+        p = (state.dual + sigma * gradient(state.extrapolated)) / (1 + sigma * huber)
         p /= np.maximum(1, np.sqrt(p[0] ** 2 + p[1] ** 2))
-        v = state.u + tau * divergence(_weighted(p, problem.edges))
-        pull = tau * problem.weight
-        u = (v + pull * f) / (1 + pull) if problem.quadratic else v - np.clip(v - f, -pull, pull)
-        u = np.clip(u, lo, hi)
-        state.extrapolated = u + theta * (u - state.u)
+        v, pull = state.u + tau * divergence(p), tau * problem.weight
+        u = np.clip(v - np.clip(v - f, -pull, pull), lo, hi)
+        state.extrapolated = 2 * u - state.u
         state.u, state.dual = u, p
 
 
-def _weighted(field: np.ndarray, edges: np.ndarray | None) -> np.ndarray:
-    return field if edges is None else field * edges
-
-
-def energy(problem: Problem, u: np.ndarray) -> float:
-    """Energy of a map, summed in float64."""
-    u = u.astype(np.float64)
-    g = _weighted(gradient(u), problem.edges)
-    norm = np.sqrt(g[0] ** 2 + g[1] ** 2)
-    h = problem.huber
-    prior = np.where(norm <= h, norm**2 / (2 * h), norm - h / 2) if h > 0 else norm
-    away = u - problem.target
-    data = problem.weight * (away**2 / 2 if problem.quadratic else np.abs(away))
-    return float(prior.sum() + data.sum())
-
-
-def dual_energy(problem: Problem, dual: np.ndarray) -> float:
-    """Lower bound of the energy of every map inside the bounds that a dual field proves, summed in float64.
-
-    ``D(p) = -(h / 2) sum |p|^2 - sum G*(q)`` with ``q = div p``. The conjugate G* of the data term is finite
-    because of the bounds; a piecewise linear or quadratic function is greatest where it is evaluated here.
-    """
-    p = dual.astype(np.float64)
-    q = divergence(_weighted(p, problem.edges))
-    f, w, (lo, hi) = problem.target.astype(np.float64), problem.weight.astype(np.float64), problem.bounds
-    if problem.quadratic:
-        best = np.where(w > 0, np.clip(f + q / np.where(w > 0, w, 1), lo, hi), np.where(q > 0, hi, lo))
-        conjugate = q * best - w / 2 * (best - f) ** 2
-    else:
-        conjugate = np.maximum(np.maximum(q * lo - w * (f - lo), q * f), q * hi - w * (hi - f))
-    return float(-problem.huber / 2 * (p**2).sum() - conjugate.sum())
-
-
-def gap_per_px(problem: Problem, state: State) -> float:
-    """Primal-dual gap per pixel: how far the energy can be above the least one; >= 0 up to rounding."""
-    return (energy(problem, state.u) - dual_energy(problem, state.dual)) / state.u.size
+def step_sizes(primal_step: float) -> tuple[float, float]:
+    """Return the primal and the dual step, whose product the norm of the gradient bounds."""
+    return primal_step, 1 / (OPERATOR_NORM_SQUARED * primal_step)

@@ -9,8 +9,7 @@ from functools import cache
 import numpy as np
 
 from chromaperture.optics.aperture import DESIGNS, Aperture, channel_transmission, made_of
-from chromaperture.optics.paraxial import focused_at
-from chromaperture.optics.pinhole import PupilCamera, pupil_camera
+from chromaperture.optics.pinhole import PupilCamera, focused_at, pupil_camera
 from chromaperture.optics.prescription import Prescription, load_lens
 from chromaperture.optics.ray_table import RayTable, lens_rays, pinhole_rays
 from chromaperture.optics.simulator import textures

@@ -25,7 +25,7 @@ from chromaperture.capture.files import image_size, read_image
 from chromaperture.capture.open import open_source
 from chromaperture.depth.pointcloud import PointCloud, write_ply
 from chromaperture.model.camera_file import Calibration
-from chromaperture.optics.paraxial import focused_at
+from chromaperture.optics.pinhole import focused_at
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.printing.aperture_file import load_aperture
 from chromaperture.optics.simulator.scene import load_scene

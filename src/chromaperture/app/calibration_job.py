@@ -12,9 +12,8 @@ from typing import Any
 from chromaperture.app.session_folder import Holding
 from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.options import CalibrationConfig
-from chromaperture.evaluation.accurate_noise import with_accurate_noise
 from chromaperture.evaluation.report import write_report
-from chromaperture.evaluation.verdict import sentences, unusable
+from chromaperture.evaluation.verdict import sentences, unusable, with_accurate_noise
 from chromaperture.system.errors import ChromapertureError, lacks_memory
 
 

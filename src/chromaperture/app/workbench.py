@@ -31,9 +31,9 @@ from chromaperture.camera.method import default_config
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.effects.edge_aware import filter_disparity
+from chromaperture.effects.layered_model import radius_per_disparity
 from chromaperture.effects.refocusing import BACKGROUND_EFFECTS, Focus, apply_background
 from chromaperture.effects.restore import SharpPicture, restore
-from chromaperture.effects.transfer_functions import radius_per_disparity
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.frame_files import OUTPUTS, write_format
 from chromaperture.model.camera_file import Calibration

@@ -22,8 +22,8 @@ from chromaperture.calibration.white_sheets import WhiteSheets
 from chromaperture.capture.exif import read_model
 from chromaperture.capture.picture_format import described
 from chromaperture.capture.shots import is_photograph
+from chromaperture.depth.conversion import model_to_paper
 from chromaperture.depth.field import DepthField
-from chromaperture.depth.paper_form import model_to_paper
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Board, Lens
 from chromaperture.optics.lens_blur import BlurModel

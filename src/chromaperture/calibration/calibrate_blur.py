@@ -29,8 +29,7 @@ from chromaperture.matching.result import ESTIMATED_NOISE, NoiseModel
 from chromaperture.matching.views import channel_space, mixed, view_spaces
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import Aperture
-from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
-from chromaperture.optics.lens_otf import traced
+from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil, traced
 from chromaperture.settings.methods import AccurateConfig
 from chromaperture.settings.stages import CrossFilterConfig
 from chromaperture.system.errors import InputError

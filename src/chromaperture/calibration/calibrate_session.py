@@ -32,8 +32,7 @@ from chromaperture.calibration.rendered_boards import rendered_nonlinearity
 from chromaperture.calibration.session import Session, nominal_depth_model, read_session
 from chromaperture.calibration.white_sheets import measure_white_sheets
 from chromaperture.capture.picture_header import same_frame
-from chromaperture.depth.field import DepthField, degree_of
-from chromaperture.depth.field_scale import with_scale_error
+from chromaperture.depth.field import DepthField, degree_of, with_scale_error
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.scale import MATCHED_SIZE, resized
 from chromaperture.settings.methods import QUALITIES, Quality

@@ -23,8 +23,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from chromaperture.calibration.session import Session
+from chromaperture.color.encoding import KNOTS, ResponseCurve, response_table
 from chromaperture.color.image import SATURATION
-from chromaperture.color.response import KNOTS, ResponseCurve, response_table
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
 from chromaperture.optics.aperture import design_named, made_of

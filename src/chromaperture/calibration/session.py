@@ -24,8 +24,7 @@ from chromaperture.capture.shots import counted, photographs
 from chromaperture.color.encoding import Pattern, Siting, StatedFacts
 from chromaperture.color.image import is_saturated
 from chromaperture.color.unmixing import view_reach
-from chromaperture.depth.conversion import DepthModel
-from chromaperture.depth.paper_form import PaperParameters, paper_to_model
+from chromaperture.depth.conversion import DepthModel, PaperParameters, paper_to_model
 from chromaperture.matching.working_scale import reduced
 from chromaperture.model.camera_parts import CameraSensor
 from chromaperture.model.scale import LEAST_SIDE_PX, SCALES, reduced_size, resized_sensor

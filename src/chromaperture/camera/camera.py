@@ -20,7 +20,7 @@ from chromaperture.capture.files import Photograph, read_light
 from chromaperture.capture.picture_header import same_frame
 from chromaperture.color.image import checked_image
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
-from chromaperture.depth.field_bands import field_to_depth
+from chromaperture.depth.field import field_to_depth
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.matching.device.device import Pending
 from chromaperture.matching.device.gpu_method import DeviceMethod, device_method

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from chromaperture.color.defective_pixels import without_defects
+from chromaperture.color.image import without_defects
 from chromaperture.color.noise import noise_ratio, photon_noise_variance
 from chromaperture.matching.device.gpu_method import on_device
 from chromaperture.matching.estimate import method_for

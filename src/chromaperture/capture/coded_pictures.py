@@ -25,8 +25,7 @@ from chromaperture.capture.picture_header import (
     other_kind,
 )
 from chromaperture.capture.tiff import TURNS, decode_tiff, tiff_format
-from chromaperture.color.color_space import UNTAGGED, ColorSpace
-from chromaperture.color.color_tags import of_exif, of_icc, of_png
+from chromaperture.color.color_space import UNTAGGED, ColorSpace, of_exif, of_icc, of_png
 from chromaperture.color.encoding import Encoding, Pattern
 from chromaperture.system.errors import InputError
 

@@ -12,8 +12,7 @@ from chromaperture.capture.native_planes import ENCODED_WHITE, Planes, rgb_of_pl
 from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat
 from chromaperture.capture.picture_header import brands
 from chromaperture.capture.source import needed
-from chromaperture.color.color_space import UNTAGGED, of_codes
-from chromaperture.color.color_tags import of_icc
+from chromaperture.color.color_space import UNTAGGED, of_codes, of_icc
 from chromaperture.system.errors import InputError
 
 _CHROMA = {420: (2, 2), 422: (2, 1), 444: (1, 1)}

@@ -15,9 +15,8 @@ from chromaperture.optics.aperture import Aperture, made_of
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.printing.aperture_file import load_aperture
 from chromaperture.optics.ray_table import pinhole_rays
-from chromaperture.optics.simulator.layer_renderer import render_layers
+from chromaperture.optics.simulator.layer_renderer import read_rgbd, render_layers, rgbd_pairs
 from chromaperture.optics.simulator.render import render
-from chromaperture.optics.simulator.rgbd import read_rgbd, rgbd_pairs
 from chromaperture.optics.simulator.scene import load_scene
 from chromaperture.optics.simulator.sensor import SensorModel, expose
 from chromaperture.system.errors import InputError

@@ -17,8 +17,7 @@ import numpy as np
 import tifffile
 
 from chromaperture.capture.picture_format import PictureFormat, mosaic_format
-from chromaperture.color.color_space import UNTAGGED
-from chromaperture.color.color_tags import of_icc
+from chromaperture.color.color_space import UNTAGGED, of_icc
 from chromaperture.color.encoding import Pattern
 from chromaperture.system.errors import CaptureWarning, InputError
 from chromaperture.system.validation import MOST_PIXELS

@@ -41,8 +41,7 @@ def apertures(
     """
     from chromaperture.cli.console import print_json
     from chromaperture.optics.aperture import DESIGNS, made_of
-    from chromaperture.optics.paraxial import focused_at
-    from chromaperture.optics.pinhole import pupil_camera
+    from chromaperture.optics.pinhole import focused_at, pupil_camera
     from chromaperture.optics.prescription import load_lens
     from chromaperture.optics.printing.aperture_file import load_aperture
     from chromaperture.optics.printing.template import write_template
@@ -86,8 +85,8 @@ def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list
     """
     import numpy as np
 
+    from chromaperture.optics.aperture import aperture_figures, film_unmixing
     from chromaperture.optics.depth_error_bound import expected_accuracy
-    from chromaperture.optics.metrics import aperture_figures, film_unmixing
 
     rows = []
     for aperture in chosen:
@@ -148,9 +147,8 @@ def draw_designs(path: Path, chosen: list[Aperture], camera: PupilCamera) -> Non
     from matplotlib.patches import Circle
 
     from chromaperture.evaluation.figures import new_figure, plain_log_scale
-    from chromaperture.optics.aperture import pupil_grid
+    from chromaperture.optics.aperture import aperture_figures, pupil_grid
     from chromaperture.optics.depth_error_bound import expected_accuracy
-    from chromaperture.optics.metrics import aperture_figures
 
     columns = max(len(chosen), 4)
     drawing = new_figure(1.7 * columns, 6.2)

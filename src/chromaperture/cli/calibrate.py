@@ -53,8 +53,7 @@ def calibrate(
     from chromaperture.calibration.calibrate_session import calibrate_session
     from chromaperture.calibration.options import CalibrationConfig
     from chromaperture.cli.console import after_compilation, print_files, print_json, progress, say_warning
-    from chromaperture.evaluation.accurate_noise import with_accurate_noise
-    from chromaperture.evaluation.verdict import unusable
+    from chromaperture.evaluation.verdict import unusable, with_accurate_noise
     from chromaperture.model.camera_file import Calibration
     from chromaperture.system.storage import staged
 

@@ -55,8 +55,7 @@ def compare(
 
 
 def _maps(a: Path, b: Path) -> tuple[dict[str, Any], Page]:
-    from chromaperture.evaluation.compare import compare_depth
-    from chromaperture.evaluation.compare_page import depth_page
+    from chromaperture.evaluation.compare import compare_depth, depth_page
     from chromaperture.products.result_files import picture_beside, read_depth, stem_and_output
 
     for path in (a, b):
@@ -71,8 +70,7 @@ def _maps(a: Path, b: Path) -> tuple[dict[str, Any], Page]:
 
 
 def _cameras(a: Path, b: Path, quality: str) -> tuple[dict[str, Any], Page]:
-    from chromaperture.evaluation.compare import compare_cameras
-    from chromaperture.evaluation.compare_page import camera_page
+    from chromaperture.evaluation.compare import camera_page, compare_cameras
     from chromaperture.model.camera_file import Calibration
 
     names = (a.name, b.name) if a.name != b.name else (_with_folder(a), _with_folder(b))

@@ -120,7 +120,7 @@ def _writer(
     if trajectory is not None:
         return partial(write_posed, form=form, poses=read_trajectory(trajectory)), lambda view: None
     from chromaperture.cli.console import say_warning
-    from chromaperture.reconstruction.poses import Tracker
+    from chromaperture.reconstruction.build_model import Tracker
 
     tracker = Tracker(matrix, listener=say_warning)
     return partial(write_posed, form=form, poses=tracker.poses), tracker.see

@@ -118,8 +118,7 @@ def refocus(
 
 def _check(request: _Request) -> None:
     """Raise InputError for options that contradict each other or are unknown."""
-    from chromaperture.effects.bokeh import bokeh_mask
-    from chromaperture.effects.refocusing import BACKGROUND_EFFECTS, SUFFIXES
+    from chromaperture.effects.refocusing import BACKGROUND_EFFECTS, SUFFIXES, bokeh_mask
     from chromaperture.effects.restore import SHARPNESS
 
     if [request.distance_mm is not None, request.pixel is not None, request.sweep].count(True) > 1:
@@ -168,8 +167,7 @@ def _restored(
 
 
 def _write(picture: SharpPicture, lens: Focus, request: _Request, camera: CodedApertureCamera) -> None:
-    from chromaperture.effects.refocus_device import compositor_of
-    from chromaperture.effects.refocusing import apply_background, sweep, write_sweep
+    from chromaperture.effects.refocusing import apply_background, compositor_of, sweep, write_sweep
     from chromaperture.files.pictures import write_color_png
     from chromaperture.system.storage import staged
 

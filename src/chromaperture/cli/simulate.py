@@ -67,8 +67,7 @@ def simulate(
     Example: chromaperture simulate session/cy_halves --step-mm 500 --width 360 --height 240
     """
     from chromaperture.cli.console import progress
-    from chromaperture.optics.paraxial import focused_at
-    from chromaperture.optics.pinhole import pupil_camera
+    from chromaperture.optics.pinhole import focused_at, pupil_camera
     from chromaperture.optics.prescription import load_lens, with_filter_at
     from chromaperture.optics.ray_table import RayTable, lens_rays, pinhole_rays
     from chromaperture.optics.simulator.scene import load_scene
@@ -131,8 +130,7 @@ def simulate_rgbd(
     import cv2
 
     from chromaperture.optics.pinhole import PupilCamera
-    from chromaperture.optics.simulator.layer_renderer import render_layers
-    from chromaperture.optics.simulator.rgbd import read_rgbd
+    from chromaperture.optics.simulator.layer_renderer import read_rgbd, render_layers
     from chromaperture.optics.simulator.sensor import SensorModel, expose
     from chromaperture.system.storage import staged
 

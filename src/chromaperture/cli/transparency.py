@@ -68,7 +68,7 @@ def figures(coded: np.ndarray, bare: np.ndarray, transmission: np.ndarray) -> di
     """Return the figures of Tables 1 and 2 and Figure 11 for one aperture; losses in dB, mean over the channels."""
     import numpy as np
 
-    from chromaperture.color.snr import exposure_to_restore, snr_db
+    from chromaperture.color.noise import exposure_to_restore, snr_db
     from chromaperture.color.transparency_map import light_efficiency
 
     light = light_efficiency(transmission)

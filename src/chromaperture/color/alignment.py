@@ -7,13 +7,19 @@ from collections.abc import Callable, Iterable, Iterator
 import cv2
 import numpy as np
 
-from chromaperture.color.nearest_known import fill_from_nearest
-from chromaperture.color.row_alignment import align_by_rows, row_moves, scale_channels
-from chromaperture.color.shift_kernels import shift_along_rows
+from chromaperture.color.row_alignment import (
+    align_by_rows,
+    fill_hidden,
+    row_moves,
+    scale_channels,
+    shift_along_rows,
+    visible_from,
+)
 from chromaperture.color.unmixing import view_reach
-from chromaperture.color.visibility import fill_hidden, visible_from
 from chromaperture.optics.aperture import Aperture, centroids
+from chromaperture.system.compilation import compiled
 from chromaperture.system.errors import InputError
+from chromaperture.system.threads import in_parallel
 
 _STILL = 1e-3  # displacement per px of disparity that counts as none: the accuracy of the centroids
 
@@ -142,3 +148,72 @@ def white_gains(white_rgb: np.ndarray) -> np.ndarray:
     """Return the factors of `white_balance`; (3,) float32."""
     white = np.asarray(white_rgb, np.float32)
     return white.max() / white
+
+
+def fill_from_nearest(values: np.ndarray) -> np.ndarray:
+    """Replace every NaN by the value of a nearest known pixel, exactly.
+
+    Columns first, then the lower envelope of parabolas along rows: Felzenszwalb and Huttenlocher, Distance transforms
+    of sampled functions (2012). SciPy takes four times as long: it does not leave out what is known.
+
+    ``values`` (H, W) float32 or float64: at least one is known. Returns (H, W), of the same type.
+    """
+    values = np.ascontiguousarray(values)
+    rows, filled = np.empty(values.shape, np.int32), values.copy()
+    _nearest_rows(values, rows)
+    in_parallel(lambda _, first, last: _fill_rows(values, rows, filled, first, last), len(values))
+    return filled
+
+
+@compiled()
+def _nearest_rows(values, rows):  # type: ignore[no-untyped-def]
+    """Find the row of the nearest known pixel in the same column, -1 where there is none."""
+    height, width = values.shape
+    for y in range(height):
+        for x in range(width):
+            if np.isfinite(values[y, x]):
+                rows[y, x] = y
+            else:
+                rows[y, x] = rows[y - 1, x] if y > 0 else -1
+    for y in range(height - 2, -1, -1):
+        for x in range(width):
+            above, below = rows[y, x], rows[y + 1, x]
+            if below >= 0 and (above < 0 or below - y < y - above):
+                rows[y, x] = below
+
+
+@compiled(error_model="numpy")
+def _fill_rows(values, rows, filled, first_row, last_row):  # type: ignore[no-untyped-def]
+    width = values.shape[1]
+    lowest, begins = np.empty(width, np.int64), np.empty(width)  # parabolas of the envelope, and where each begins
+    heights = np.empty(width)
+    for y in range(first_row, last_row):
+        first = 0
+        while first < width:
+            if np.isfinite(values[y, first]):
+                first += 1
+                continue
+            last = first  # of a run of unknown pixels; what is known beside it hides all that is beyond
+            while last + 1 < width and not np.isfinite(values[y, last + 1]):
+                last += 1
+            count = 0
+            for x in range(max(first - 1, 0), min(last + 2, width)):
+                if rows[y, x] < 0:
+                    continue
+                heights[x] = float(rows[y, x] - y) ** 2 + float(x) ** 2
+                begin = -np.inf
+                while count > 0:
+                    p = lowest[count - 1]
+                    begin = (heights[x] - heights[p]) / (2.0 * (x - p))
+                    if begin > begins[count - 1]:
+                        break
+                    count -= 1
+                    begin = -np.inf
+                lowest[count], begins[count] = x, begin
+                count += 1
+            at = 0
+            for x in range(first, last + 1):
+                while at + 1 < count and begins[at + 1] < x:
+                    at += 1
+                filled[y, x] = values[rows[y, lowest[at]], lowest[at]]
+            first = last + 1

@@ -27,15 +27,11 @@ _MOST_CORRECTION = 2.0  # factor on typical film in one channel; more means that
 def completed_film(
     aperture: Aperture, measured: Mapping[str, np.ndarray], *, light: np.ndarray | None
 ) -> dict[str, np.ndarray]:
-    """Complete the measured transmission of an aperture's film.
+    """Complete the measured transmission of an aperture's film; (3,) float64 by filter, for ``aperture.views``.
 
     Film without a sheet is assumed to be typical film of its colour (`FILMS`, "real"). If white was photographed
-    through the aperture, its channels are scaled so that the aperture passes that light; with one sheet missing this is
-    exact.
-
-    ``measured`` mapping of str to (3,) float: transmission in R, G, B, of film with a sheet; ``light`` (3,) float or
-    None: light of each channel through the aperture, over that of the open pupil. Returns dict of str to (3,) float64:
-    for every filter among ``aperture.views``.
+    through the aperture, its channels are scaled so that the aperture passes that ``light``, (3,) over that of the open
+    pupil; with one sheet missing this is exact.
     """
     usual = {name: sheet.transmission for name, sheet in (film_named("real") | FIXED).items()}
     film = {

@@ -18,8 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from chromaperture.optics.lens_blur import LensBlur
-from chromaperture.optics.lens_otf import ChannelRays, traced, transfer_at
+from chromaperture.optics.lens_blur import ChannelRays, LensBlur, traced, transfer_at
 from chromaperture.system.compilation import compiled
 from chromaperture.system.threads import in_parallel
 

@@ -1,12 +1,15 @@
-"""Noise variance of linear images."""
+"""Noise variance of linear images, and the signal-to-noise ratio of white sheets (paper section 4.3, Table 2)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from scipy.optimize import nnls
+
+from chromaperture.system.errors import InputError
 
 # Immerkaer (1996): the difference of two Laplacians, zero for linear intensities.
 _IMMERKAER = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32)
@@ -68,12 +71,10 @@ def estimate_noise_variance(image: np.ndarray) -> np.ndarray:
 
 
 def noise_samples(image: np.ndarray, *, scale_px: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Compute brightness and noise variance of blocks of an image.
+    """Compute brightness and noise variance of blocks and channels, (B,) float64 each, without clipped ones.
 
-    ``image`` (H, W, C) float, linear, 1.0 = white level; ``scale_px``: side of the squares of pixels that are averaged
-    first. The variance is that of the pixels of white noise whose averages have what is found. Returns ``level,
-    variance`` (B,) float64: of each block and channel, white level and its square; clipped and non-finite blocks are
-    left out.
+    ``scale_px``: side of the squares of pixels that are averaged first; the variance is that of the pixels of white
+    noise whose averages have what is found.
     """
     if min(image.shape[:2]) < scale_px * _BLOCK_SAMPLES:
         return np.empty(0), np.empty(0)
@@ -97,13 +98,10 @@ def _squares(values: np.ndarray, side: int) -> np.ndarray:
 
 
 def photon_noise_of_sheets(sheets: Iterable[np.ndarray]) -> tuple[float, float] | None:
-    """Fit full well and read noise to photographs of even surfaces, at the scale that has most of the noise.
+    """Fit full well and read noise to photographs of even surfaces, (H, W, C) linear; see `fit_photon_noise`.
 
-    Compression and the interpolation of a colour mosaic take noise out of the finest detail alone. What is left there
-    is no measure of the noise in detail of a few pixels, which evidence and restoration see.
-
-    ``sheets`` iterable of (H, W, C) float, linear, 1.0 = white level. Returns ``full_well_electrons,
-    read_noise_electrons`` see `fit_photon_noise`.
+    Compression and the interpolation of a colour mosaic take noise out of the finest detail alone, which is no measure
+    of the noise in detail of a few pixels: the scale that has most of the noise counts.
     """
     samples: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in _SCALES_PX]
     for sheet in sheets:
@@ -120,14 +118,11 @@ def photon_noise_of_sheets(sheets: Iterable[np.ndarray]) -> tuple[float, float] 
 
 
 def noise_ratio(image: np.ndarray, variance: np.ndarray) -> float:
-    """Return a photograph's noise variance over the expected one; 1 where it is not clearly more.
+    """Return a photograph's noise variance over the expected one, (H, W, 3); 1 where it is not clearly more.
 
     A photograph at another ISO than the calibration has other noise. Detail is much alike in the three channels, their
     noise is not: of the fine structure of a block, in units of the expected noise, the least eigenvalue of the
     channels' covariance is the noise's.
-
-    ``image`` (H, W, 3) float, linear, 1.0 = white level; ``variance`` (H, W, 3) float: what is expected, (white
-    level)^2. Returns 1, or at least `_CLEAR_RATIO`.
     """
     image = np.asarray(image, np.float32)
     finest = _ratio_at(image, variance, 1)
@@ -170,13 +165,10 @@ def _means(values: np.ndarray, size: tuple[int, int], side_px: int) -> list[np.n
 
 
 def fit_photon_noise(level: np.ndarray, variance: np.ndarray) -> tuple[float, float] | None:
-    """Fit full well and read noise to the flattest blocks of photographs (photon transfer, Janesick 2007).
+    """Fit full well and read noise, electrons, to the flattest blocks of photographs (photon transfer, Janesick 2007).
 
     Texture only adds to a block's variance: the line ``level / full_well + (read_noise / full_well)^2`` is the lower
-    edge of the scatter plot.
-
-    ``level``, ``variance`` (B,) float: blocks of all photographs together, from `noise_samples`. Returns
-    ``full_well_electrons, read_noise_electrons`` None when variance does not grow with brightness: too few levels, or
+    edge of the scatter plot of `noise_samples`. None when variance does not grow with brightness: too few levels, or
     denoised photographs.
     """
     level, variance = np.asarray(level, float), np.asarray(variance, float)
@@ -204,3 +196,70 @@ def _line(level: np.ndarray, variance: np.ndarray, scale: np.ndarray) -> np.ndar
     unit = float(np.mean(variance / scale)) or 1.0  # the solver's tolerances are absolute, variances small
     found, _ = nnls(np.stack([level, np.ones_like(level)], axis=1) / scale[:, None], variance / scale / unit)
     return np.asarray(found * unit)
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """Factor on the exposure that compensates a loss of SNR."""
+
+    shot: float  # for shot noise, SNR grows with the root of time: 10^(dB / 10)
+    amplitude: float  # for read noise, SNR grows with time: 10^(dB / 20); the paper's "30 % for 2.3 dB"
+
+
+def snr_db(first: np.ndarray, second: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the signal-to-noise ratio in the middle and at the border of a white sheet, 20 log10(mean / sigma).
+
+    ``first`` (H, W, 3) float, linear; ``second`` (H, W, 3) float: another photograph of the same sheet: their
+    difference is temporal noise alone, without the sheet's texture and the pixels' gains. When absent, the noise is
+    estimated from the fine structure of the first. Returns ``central, border`` (3,) float64, dB, per channel. Raises
+    InputError: the two differ in size or brightness.
+    """
+    first = np.asarray(first, np.float32)
+    if second is not None:
+        second = np.asarray(second, np.float32)
+        if second.shape != first.shape:
+            raise InputError(f"the two photographs of the sheet differ in size: {first.shape} and {second.shape}")
+        ratio = float(second.mean() / first.mean())
+        if not 0.97 < ratio < 1.03:
+            raise InputError(f"the two photographs of the sheet differ in brightness by {100 * (ratio - 1):+.0f} %")
+    central = _central(first.shape)
+    return _area_snr(first, second, central), _area_snr(first, second, ~central)
+
+
+def exposure_to_restore(loss_db: float) -> Exposure:
+    """Compute the exposure, as a multiple of the present one, that compensates a loss of SNR; both readings."""
+    return Exposure(10 ** (loss_db / 10), 10 ** (loss_db / 20))
+
+
+def expected_loss_db(transmission: float, *, read_variance_ratio: float = 0.0) -> float:
+    """Compute the loss of SNR by an aperture from its transmission.
+
+    ``transmission``: fraction of the light, (0, 1]; ``read_variance_ratio``: variance of the read noise over that of
+    the shot noise at full light. Returns float, dB: 10 log10(1 / T) for shot noise alone.
+    """
+    if not 0 < transmission <= 1 or read_variance_ratio < 0:
+        raise InputError("transmission must lie in (0, 1] and the ratio of read noise must be >= 0")
+    open_snr = 1 / np.sqrt(1 + read_variance_ratio)
+    coded_snr = transmission / np.sqrt(transmission + read_variance_ratio)
+    return float(20 * np.log10(open_snr / coded_snr))
+
+
+def _central(shape: tuple[int, ...]) -> np.ndarray:
+    """Mask the middle two thirds of width and height; the rest is border (paper section 4.3)."""
+    height, width = shape[:2]
+    y, x = np.abs(np.linspace(-1, 1, height))[:, None], np.abs(np.linspace(-1, 1, width))[None]
+    inside: np.ndarray = np.maximum(x, y) < 2 / 3
+    return inside
+
+
+def _area_snr(first: np.ndarray, second: np.ndarray | None, area: np.ndarray) -> np.ndarray:
+    mean = first[area].mean(axis=0, dtype=float)
+    if second is not None:
+        difference = (second - first)[area]
+        gain = second[area].mean(axis=0, dtype=float) / mean  # drift of the lamp is not noise
+        sigma = (difference - mean * (gain - 1)).std(axis=0, dtype=float) / np.sqrt(2)
+    else:
+        # The mean absolute value of a Gaussian is sqrt(2 / pi) sigma.
+        sigma = np.sqrt(np.pi / 2) * fine_structure(first)[area].mean(axis=0, dtype=float) / KERNEL_NORM
+    with np.errstate(divide="ignore"):
+        return np.asarray(20 * np.log10(mean / sigma))

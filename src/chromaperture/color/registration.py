@@ -160,12 +160,10 @@ def _least_gradient2(wide: np.ndarray) -> float:
 
 
 def standard_error(moved: np.ndarray, fixed: np.ndarray) -> float:
-    """Estimate the standard error of a window's displacement from its residuals.
+    """Estimate the standard error, px, of a window's displacement from its residuals, both (h, w) registered to a px.
 
     An affine change of tone and a small shift are fitted by least squares; residuals may be correlated within each of
     3 x 3 parts (clustered standard errors), whatever their cause: noise, a colour in one channel only, two depths.
-
-    ``moved``, ``fixed`` (h, w) float32: registered to a px. Returns float, px.
     """
     gy, gx = np.gradient(fixed.astype(float))
     rows = np.stack([np.ones(fixed.shape), fixed - fixed.mean(), gx, gy])

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from chromaperture.color.image import is_saturated
-from chromaperture.optics.metrics import LUMINANCE
+from chromaperture.optics.aperture import LUMINANCE
 from chromaperture.system.errors import InputError
 
 _BLUR = 0.025  # sigma over the image's width: removes noise and paper grain, keeps vignetting. Chosen by hand
@@ -29,14 +29,11 @@ class LightEfficiency:
 
 
 def transparency(coded: np.ndarray, bare: np.ndarray) -> np.ndarray:
-    """Compute the aperture's transparency at every pixel, per sensor channel: Eq. (11), T = I^c / I^nc.
+    """Compute the aperture's transparency at every pixel, per channel: Eq. (11), T = I^c / I^nc; (H, W, 3) float32.
 
-    Both pictures are blurred before the division: noise would bias a mean of ratios. Uneven lighting cancels; dust on
-    the sheet is left out of the means.
-
-    ``coded``, ``bare`` (H, W, 3) float, linear RGB, 1.0 = white level: the same white sheet with and without the coded
-    aperture, at the same exposure. Returns (H, W, 3) float32. Raises InputError: the pictures differ in size or
-    exposure, or one is saturated or dark.
+    ``coded``, ``bare`` (H, W, 3), linear: the same white sheet with and without the aperture, at the same exposure.
+    Both are blurred first: noise would bias a mean of ratios. Uneven lighting cancels; dust is left out of the means.
+    Raises InputError: the pictures differ in size or exposure, or one is saturated or dark.
     """
     if coded.shape != bare.shape:
         raise InputError(f"the two white sheets differ in size: {coded.shape} and {bare.shape}")
@@ -68,13 +65,10 @@ def light_efficiency(transmission: np.ndarray) -> LightEfficiency:
 
 
 def flat_field(sheet: np.ndarray) -> np.ndarray:
-    """Compute the shading of a white sheet relative to its middle, per channel.
+    """Compute the shading of an evenly lit white sheet relative to its middle, per channel; (H, W, 3) float32.
 
     Rims of the lens cut a coded pupil from one side, so each channel falls off towards another corner: one correction
-    for all three would tint the picture.
-
-    ``sheet`` (H, W, 3) float, linear RGB: an evenly lit white sheet through the aperture. Returns (H, W, 3) float32; 1
-    in the middle. Raises InputError: the sheet is saturated, or dark somewhere.
+    for all three would tint the picture. Raises InputError: the sheet is saturated, or dark somewhere.
     """
     if is_saturated(sheet):
         raise InputError("the white sheet is saturated: photograph it again at a shorter exposure")

@@ -13,13 +13,10 @@ _MAX_CONDITION = 20.0
 
 
 def mixing_matrix(filter_colors: np.ndarray) -> np.ndarray:
-    """Build M, whose columns are the sensor's colours of white light through each filter.
+    """Build M, (3, 3), from R, G, B of white light through 2 or 3 filters, (K, 3) of any scale: its columns.
 
     For two filters the third column is the unit normal X of their plane: then the first two rows of the inverse are the
-    least-squares unmixing, and the third measures the residual.
-
-    ``filter_colors`` (K, 3) float: R, G, B of white light through filter k; K is 2 or 3. The scale is free. Returns (3,
-    3) float64. Raises InputError: the colours are not finite, or too similar.
+    least-squares unmixing, and the third measures the residual. Raises InputError: colours not finite, or too similar.
     """
     colors = np.asarray(filter_colors, float)
     if colors.ndim != 2 or colors.shape[0] not in (2, 3) or colors.shape[1] != 3 or not np.isfinite(colors).all():
@@ -72,12 +69,10 @@ def view_reach(aperture: Aperture) -> float:
 
 
 def pure_channels(aperture: Aperture) -> np.ndarray | None:
-    """Select sensor channels that receive light from one filter each, if a design has them.
+    """Select channels that receive light from one filter each, (K, 3) of 0 and 1 by view; None where a view has none.
 
     Red passes only the yellow half and blue only the cyan one: such channels are views themselves, without the noise of
     unmixing and without the other half's crosstalk that a coloured surface leaves in an unmixed view.
-
-    Returns (K, 3) float64 of zeros and ones, in the order of ``aperture.views``; None when a view has no such channel.
     """
     light = np.array([aperture.remainder.transmission, *(part.filter.transmission for part in aperture.parts)])
     names = [None, *(part.filter.name for part in aperture.parts)]
@@ -97,14 +92,11 @@ def mixes_three_views(aperture: Aperture) -> bool:
 
 
 def view_directions(aperture: Aperture) -> np.ndarray:
-    """Compute the displacement of every view per px of disparity.
+    """Compute the displacement (x, y) of every view per px of disparity; (K, 2) float64.
 
     View k is the centre view displaced by ``d * u_k``, where ``u_k`` is the centroid of its (unmixed) pupil in units of
     the mean centroid distance, for ideal film. Leaks of real film bring the views together, which the calibrated scale
-    takes up; uneven ones also move the middle of two views off that of the pupil, by .16 d for the open band
-    (docs/conventions.md).
-
-    Returns (K, 2) float64, (x, y).
+    takes up; uneven ones also move the middle of two views off that of the pupil (docs/conventions.md).
     """
     rho = centroids(aperture, own_film_unmixing(aperture))
     directions = rho / np.linalg.norm(rho, axis=1).mean()

@@ -1,7 +1,7 @@
 """Disparity to depth and back, with an error bar (paper sections 3.2 to 3.4).
 
 The package computes with ``d = A - B / z``, z being the distance from the entrance pupil: disparity is linear in
-inverse depth for every paraxial lens. The paper's Eqs. (7) to (10), in ``paper_form.py``, are the same curve.
+inverse depth for every paraxial lens. The paper's Eqs. (7) to (10), see `PaperParameters`, are the same curve.
 """
 
 from __future__ import annotations
@@ -91,12 +91,9 @@ class DepthModel:
 
 
 def disparity_to_inverse_depth(disparity_px: Map, model: DepthModel) -> np.ndarray:
-    """Compute 1 / z, z being the distance from the entrance pupil.
+    """Compute 1 / z, z from the entrance pupil; float64, 1/mm, 0 at infinity, negative beyond, NaN unknown.
 
     Average inverse depth, not depth: its error is as symmetric as that of the disparity.
-
-    ``disparity_px`` (H, W) float, px, half disparity, + beyond focus. Returns (H, W) float64, 1/mm; 0 at infinity,
-    negative where the disparity exceeds that of infinity, NaN unknown..
     """
     disparity = _map(disparity_px, model)
     if model.nonlinearity is not None:
@@ -237,3 +234,55 @@ def _map(values: Map, model: DepthModel) -> np.ndarray:
                 "use images of the calibrated size"
             )
     return values
+
+
+@dataclass(frozen=True)
+class PaperParameters:
+    """The parameters of Eqs. (8) to (10), each a number for the whole image or (H, W) for every pixel.
+
+    Depth z~ from the sensor of a point with half disparity d, Eq. (9), with pixel pitch mu::
+
+        z~ = (b f z~_of - 2 mu d (z~_of - delta - f) delta) / (b f - 2 mu d (z~_of - delta - f))
+
+    Eq. (8) is the same from the entrance pupil, z = z~ - delta; Eq. (7) is (8) for a thin lens, delta = 0; Eq. (10) is
+    (9) with maps b(i, j) and z~_of(i, j). All are ``z = B / (A - d)`` with
+
+        B = b F / (2 mu),    A = B / z_of,    1 / f = 1 / F + 1 / z_of,    z_of = z~_of - delta,
+
+    F being the distance from the pinhole's centre to its sensor (paper section 3.4); ``docs/equations.md`` derives it.
+    """
+
+    in_focus_mm: Map  # z~_of: depth of the focus surface from the sensor
+    baseline_mm: Map  # b: twice the distance of a view's centroid from the centre of the entrance pupil
+    sensor_to_pupil_mm: Map  # delta
+    focal_length_mm: Map  # f
+
+
+def paper_to_model(parameters: PaperParameters, *, pixel_pitch_mm: float) -> DepthModel:
+    """Return A, B and delta, exactly known.
+
+    Raises InputError: the focus surface is closer to the entrance pupil than the focal length.
+    """
+    z_focus = np.asarray(parameters.in_focus_mm, float) - parameters.sensor_to_pupil_mm
+    shrink = 1 - parameters.focal_length_mm / z_focus  # f / F, Eq. (2); 1 for focus at infinity
+    if np.any(shrink <= 0):
+        raise InputError(
+            "the focus surface must be farther from the entrance pupil than the focal length, "
+            f"{np.max(parameters.focal_length_mm):g} mm"
+        )
+    scale = parameters.baseline_mm * (parameters.focal_length_mm / shrink) / (2 * pixel_pitch_mm)
+    return DepthModel(scale / z_focus, scale, parameters.sensor_to_pupil_mm)
+
+
+def model_to_paper(model: DepthModel, *, image_distance_mm: float, pixel_pitch_mm: float) -> PaperParameters:
+    """Return the paper's parameters of a depth curve.
+
+    ``image_distance_mm``: F, from the pinhole calibration: focal length in px times the pixel pitch.
+    """
+    z_focus = focus_from_pupil(model.infinity_disparity_px, model.scale_px_mm)
+    return PaperParameters(
+        in_focus_mm=z_focus + model.sensor_to_pupil_mm,
+        baseline_mm=2 * pixel_pitch_mm * model.scale_px_mm / image_distance_mm,
+        sensor_to_pupil_mm=model.sensor_to_pupil_mm,
+        focal_length_mm=1 / (1 / image_distance_mm + 1 / z_focus),
+    )

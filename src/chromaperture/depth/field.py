@@ -2,19 +2,21 @@
 
 Field curvature changes A and vignetting lowers B towards the corners. The disparity d = A - B / (depth - delta) is
 linear in both, so linear least squares fits both at once, as polynomials over the frame. The paper's b(i, j) and
-z_of(i, j) follow from them (``paper_form.py``).
+z_of(i, j) follow from them (`model_to_paper`).
 """
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from chromaperture.depth.conversion import DepthModel
+from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.conversion_kernels import PAIRS, CurveTable, curve_table
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.system.errors import InputError
@@ -260,3 +262,186 @@ def polynomials(x: np.ndarray, y: np.ndarray, width_px: int, height_px: int, deg
     products = chebyshev.chebvander2d(u, v, [degree, degree])
     i, j = np.divmod(np.arange((degree + 1) ** 2), degree + 1)
     return products[..., i + j <= degree].reshape(*np.broadcast(u, v).shape, -1)
+
+
+def resized_field(field: DepthField, before_px: tuple[int, int], after_px: tuple[int, int]) -> DepthField:
+    """Return the curves for a picture of another size, (width, height) px, that shows the same frame.
+
+    Disparities count px of the picture's width. Polynomials over the frame are of the centres of its outermost pixels,
+    which move when pixels grow: the polynomials are expanded anew, exactly.
+    """
+    factor = before_px[0] / after_px[0]  # px before in a px after
+    shares = [_share(before, after) for before, after in zip(before_px, after_px, strict=True)]
+    change = _substitution(degree_of(len(field.scale_px_mm)), *shares)
+    return replace(
+        field,
+        infinity_disparity_px=change @ field.infinity_disparity_px / factor,
+        scale_px_mm=change @ field.scale_px_mm / factor,
+        covariance=_covariance(field, change, factor),
+        nonlinearity=None if field.nonlinearity is None else _nonlinearity(field.nonlinearity, factor),
+        local=None if field.local is None else _local(field.local, factor),
+    )
+
+
+def _share(before: int, after: int) -> float:
+    """Return how far the outermost pixels' centres lie from the middle, in the distance of those before."""
+    return before / after * (after - 1) / max(before - 1, 1)
+
+
+def _substitution(degree: int, along_x: float, along_y: float) -> np.ndarray:
+    """Return the matrix from coefficients in (u, v) to those in (u / along_x, v / along_y); (N, N)."""
+    i, j = np.divmod(np.arange((degree + 1) ** 2), degree + 1)
+    kept = i + j <= degree
+    i, j = i[kept], j[kept]
+    x, y = _expansion(degree, along_x), _expansion(degree, along_y)
+    return x[i][:, i].T * y[j][:, j].T
+
+
+def _expansion(degree: int, share: float) -> np.ndarray:
+    """Return the coefficients of T_n(share * u) in T_0(u), T_1(u), ..., row n; (degree + 1, degree + 1)."""
+    rows = np.zeros((degree + 1, degree + 1))
+    for n, unit in enumerate(np.eye(degree + 1)):
+        powers = chebyshev.cheb2poly(unit)
+        found = chebyshev.poly2cheb(powers * share ** np.arange(len(powers)))
+        rows[n, : len(found)] = found
+    return rows
+
+
+def _covariance(field: DepthField, change: np.ndarray, factor: float) -> np.ndarray:
+    covariance, n = np.asarray(field.covariance, float), len(change)
+    if len(covariance) == 3 and n != 1:
+        units = np.array([1 / factor, 1 / factor, 1])
+        return covariance * np.outer(units, units)
+    curve = np.eye(len(covariance) - 2 * n - 1) / factor
+    whole = np.zeros_like(covariance)
+    for start, block in ((0, change / factor), (n, change / factor), (2 * n, np.eye(1)), (2 * n + 1, curve)):
+        stop = start + len(block)
+        whole[start:stop, start:stop] = block
+    return np.asarray(whole @ covariance @ whole.T)
+
+
+def _nonlinearity(curve: Nonlinearity, factor: float) -> Nonlinearity:
+    return Nonlinearity(curve.low_px / factor, curve.high_px / factor, np.asarray(curve.coefficients) / factor)
+
+
+def _local(local: LocalField, factor: float) -> LocalField:
+    shrunk = np.float32(1 / factor)
+    return LocalField(
+        (local.start_px + 0.5) / factor - 0.5, local.step_px / factor, local.infinity_disparity_px * shrunk,
+        local.scale_px_mm * shrunk, local.covariance / factor**2,
+    )  # fmt: skip
+
+
+def with_scale_error(field: DepthField, relative: float) -> DepthField:
+    """Add a relative error of the disparity, one standard deviation, to the covariance of a curve.
+
+    Disparities that are all wrong by the same factor are those of a curve whose A and B are wrong by that factor: the
+    covariance grows by ``relative^2 c c^T``, c being the coefficients of both. Raises InputError: it is negative or not
+    finite.
+    """
+    if not (np.isfinite(relative) and relative >= 0):
+        raise InputError(f"the relative error of the disparity must be 0 or more, got {relative:g}")
+    if relative == 0:
+        return field
+    covariance = np.asarray(field.covariance, float)
+    count = len(field.scale_px_mm)
+    if len(covariance) == 3 and count > 1:  # of A, B and delta in the middle of the frame
+        middle = field.on_axis(3, 3)  # of any frame
+        parts = np.array([middle.infinity_disparity_px, middle.scale_px_mm])
+    else:
+        parts = np.concatenate([field.infinity_disparity_px, field.scale_px_mm])
+    whole = np.zeros(len(covariance))
+    whole[: len(parts)] = parts
+    return replace(field, covariance=covariance + relative**2 * np.outer(whole, whole))
+
+
+_BAND_PX = 1_000_000  # of a band: 60 MB of curves and their covariances
+
+
+def field_to_depth(
+    disparity_px: np.ndarray, sigma_px: np.ndarray, field: DepthField, *, max_depth_mm: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute `disparity_to_depth` with the curves of the whole frame, by bands of rows; two (H, W) float32, mm.
+
+    The curves of every pixel and their covariances take 100 bytes a pixel, for a whole frame gigabytes.
+    """
+    height, width = disparity_px.shape
+    step = height if len(field.scale_px_mm) == 1 else max(1, _BAND_PX // width)
+    if step >= height:
+        return disparity_to_depth(disparity_px, field.model(width, height), sigma_px, max_depth_mm=max_depth_mm)
+    depth, sigma = (np.empty((height, width), np.float32) for _ in range(2))
+    for top in range(0, height, step):
+        rows = slice(top, min(top + step, height))
+        depth[rows], sigma[rows] = disparity_to_depth(
+            disparity_px[rows], field.model(width, height, rows), sigma_px[rows], max_depth_mm=max_depth_mm
+        )
+    return depth, sigma
+
+
+def field_to_tree(field: DepthField) -> dict[str, Any]:
+    """Return a field as a tree of plain values, and of arrays where there are thousands of values."""
+    tree = dict(plain(dataclasses.asdict(field)))
+    if field.local is not None:
+        maps = {name: getattr(field.local, name) for name in ("infinity_disparity_px", "scale_px_mm")}
+        tree["local"] = {**tree["local"], **maps}
+    return tree
+
+
+def field_from_tree(tree: Mapping[str, Any]) -> DepthField:
+    """Rebuild a field; raises KeyError, TypeError or ValueError where the tree holds none."""
+    infinity, scale = (
+        np.atleast_1d(np.array(_numbers(tree[n]), float)) for n in ("infinity_disparity_px", "scale_px_mm")
+    )
+    for coefficients in (infinity, scale):
+        degree_of(len(coefficients))
+        finite(coefficients, coefficients.shape[:1])
+    if len(infinity) != len(scale):
+        raise ValueError("the two depth fields differ in degree")
+    (delta,) = finite([tree["sensor_to_pupil_mm"]], (1,))
+    covariance = np.array(_numbers(tree["covariance"]), np.float64)
+    curve = tree.get("nonlinearity")
+    if curve is not None:
+        (low, high) = finite([curve["low_px"], curve["high_px"]], (2,))
+        curve = Nonlinearity(float(low), float(high), finite(curve["coefficients"], (len(curve["coefficients"]),)))
+    terms = 0 if curve is None else len(curve.coefficients)
+    sizes = (3, 2 * len(infinity) + 1, 2 * len(infinity) + 1 + terms)
+    if covariance.shape not in [(size, size) for size in sizes]:
+        raise ValueError(f"a covariance of shape {covariance.shape} does not fit its depth field")
+    local = tree.get("local")
+    if local is not None:
+        shape = np.shape(local["scale_px_mm"])
+        (start, step) = finite([local["start_px"], local["step_px"]], (2,))
+        if len(shape) != 2 or not step > 0:
+            raise ValueError("a local field is no map")
+        infinities, scales = (
+            finite(local[name], shape).astype(np.float32) for name in ("infinity_disparity_px", "scale_px_mm")
+        )
+        local = LocalField(float(start), float(step), infinities, scales, finite(local["covariance"], (2, 2)))
+    return DepthField(infinity, scale, float(delta), finite(covariance, covariance.shape), curve, local)
+
+
+def plain(value: Any) -> Any:
+    """Turn small arrays and NumPy scalars into lists and numbers, which YAML shows as text."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def finite(value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """Return a float64 array; raises ValueError where the shape differs or a number is not finite."""
+    array = np.array(_numbers(value), dtype=np.float64)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ValueError(f"expected finite numbers of shape {shape}")
+    return array
+
+
+def _numbers(value: Any) -> np.ndarray:
+    """Return an array of numbers; raises ValueError for texts and switches, which NumPy would convert."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiu":
+        raise ValueError("expected numbers")
+    return array

@@ -22,13 +22,7 @@ _MIN_SLOPE = 0.2  # d measured / d linear: a flatter curve is refused, it would 
 
 @dataclass(frozen=True, eq=False)  # compared by identity: it holds an array
 class Nonlinearity:
-    """Measured disparity = linear disparity + h(linear disparity).
-
-    Raises
-    ------
-    InputError
-        The curve is not monotonic, so that two depths would have the same disparity.
-    """
+    """Measured disparity = linear disparity + h(linear disparity); raises InputError where it is not monotonic."""
 
     # low_px to high_px: range of linear disparity in which h was fitted; beyond it h is constant
     low_px: float

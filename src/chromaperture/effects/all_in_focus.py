@@ -17,8 +17,7 @@ import cv2
 import numpy as np
 from scipy.sparse.linalg import LinearOperator, cg
 
-from chromaperture.effects.layered_model import LayeredModel
-from chromaperture.effects.transfer_functions import Blur
+from chromaperture.effects.layered_model import Blur, LayeredModel
 from chromaperture.effects.wiener import colour_covariance, mirrored, padded_size, sharpen_layers
 from chromaperture.system.errors import InputError
 
@@ -53,33 +52,13 @@ def all_in_focus(
     saturated: np.ndarray | None = None,
     config: SharpenConfig | None = None,
 ) -> np.ndarray:
-    """Restore the sharp picture in the view of the pupil's centre.
+    """Restore the sharp picture in the view of the pupil's centre; (H, W, 3) float32, linear RGB.
 
-    Parameters
-    ----------
-    image : (H, W, 3) float32, linear RGB
-        The capture, white balanced, channels not aligned.
-    radius_px : (H, W) float32, px
-        Signed blur radius of every pixel, + beyond focus; no NaN.
-    blur : Blur
-    noise_variance : (3,) float
-        Of the white-balanced image.
-    aligned : (H, W, 3) float32
-        The capture with its channels aligned: source of the colour lines, and kept where the blur is uncertain.
-    radius_sigma_px : (H, W) float32, optional
-        Standard deviation of the blur radius.
-    saturated : (H, W) bool, optional
-        Clipped pixels of the capture, lower bounds only: they get no weight.
-    config : SharpenConfig, optional
-
-    Returns
-    -------
-    (H, W, 3) float32, linear RGB
-
-    Raises
-    ------
-    InputError
-        The maps differ in size, or the blur radius is not known everywhere.
+    ``image`` (H, W, 3): the capture, white balanced, channels not aligned; ``radius_px`` (H, W): signed blur radius, +
+    beyond focus, no NaN, with ``radius_sigma_px``; ``noise_variance`` (3,): of the white-balanced image; ``aligned``:
+    the capture with its channels aligned, source of the colour lines, and kept where the blur is uncertain;
+    ``saturated`` (H, W) bool: clipped pixels, lower bounds only, get no weight. Raises InputError: the maps differ in
+    size, or the blur radius is not known everywhere.
     """
     config = config or SharpenConfig()
     if image.shape[:2] != radius_px.shape or aligned.shape != image.shape:

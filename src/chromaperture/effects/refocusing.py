@@ -14,8 +14,10 @@ beside the pictures that come in and go out.
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -23,13 +25,15 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from chromaperture.color.srgb import linear_to_srgb
-from chromaperture.effects.bokeh import bokeh_kernel, bokeh_mask
+from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
 from chromaperture.effects.layered_model import layer_radii
 from chromaperture.effects.refocusing_kernels import add_layer, layer_bounds, layer_planes, normalise, over_rows
-from chromaperture.matching.device.refocus_stages import RefocusLayer
+from chromaperture.matching.device.device import DeviceError
+from chromaperture.matching.device.gpu_method import DeviceMethod
+from chromaperture.matching.device.refocus_stages import RefocusChain, RefocusLayer
 from chromaperture.optics.simulator.layer_renderer import behind_edges
-from chromaperture.system.errors import InputError
+from chromaperture.system.errors import InputError, OutOfMemoryError
 
 # Blur radii in px, chosen by hand; not tuned. docs/colour.md measures error and time of the whole.
 _SHARP_PX = 0.3  # new blur below which nothing is done
@@ -63,27 +67,12 @@ def refocus(
     compositor: Compositor | None = None,
     tile_px: int | None = None,
 ) -> np.ndarray:
-    """Blur a sharp picture as a lens with another focus would.
+    """Blur a sharp picture as a lens with another focus would; (H, W, 3) float32, linear RGB.
 
-    Parameters
-    ----------
-    color : (H, W, 3) float32, linear RGB, everything in focus
-    radius_px : (H, W) float32, px
-        Signed blur radius that the capture had, + beyond its focus: orders near and far. No NaN.
-    focus : Focus
-    compositor : callable, optional
-        A camera's device, see `refocus_device.compositor_of`.
-    tile_px : int, optional
-        Side of the parts that are computed one after the other.
-
-    Returns
-    -------
-    (H, W, 3) float32, linear RGB
-
-    Raises
-    ------
-    InputError
-        Sizes differ, the depth has holes, or the blur would be larger than the picture can hold.
+    ``radius_px`` (H, W): signed blur radius that the capture had, px, + beyond its focus: orders near and far, no NaN;
+    ``compositor``: a camera's device, see `compositor_of`; ``tile_px``: side of the parts that are computed one after
+    the other. Raises InputError: sizes differ, the depth has holes, or the blur would be larger than the picture can
+    hold.
     """
     if color.shape[:2] != radius_px.shape:
         raise InputError(f"picture {color.shape[:2]} and depth {radius_px.shape} differ in size: of two photographs")
@@ -302,3 +291,111 @@ def write_sweep(path: Path, frames: Iterator[np.ndarray]) -> None:
             video.write(np.ascontiguousarray(frame[:height, :width, ::-1]))
     finally:
         video.release()
+
+
+_NUMBERS = 4  # of a pixel, in the largest array
+
+
+@dataclass
+class DeviceCompositor:
+    """The compositor of `refocus` on a device as long as that works; safe from several threads."""
+
+    behind: DeviceMethod  # whose device it is; where that fails the CPU takes over in both
+    _chain: RefocusChain | None = None
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    def __call__(
+        self,
+        pictures: tuple[np.ndarray, np.ndarray],
+        radii: tuple[np.ndarray, np.ndarray],
+        hidden: np.ndarray,
+        layers: Sequence[RefocusLayer],
+    ) -> np.ndarray | None:
+        """Return the picture, see `RefocusChain.composite`; None where the CPU has to do it.
+
+        Raises DeviceError, OutOfMemoryError where the device was asked for by name.
+        """
+        device, size = self.behind.on_gpu.device, (hidden.shape[0], hidden.shape[1])
+        if self.behind.has_failed or 4 * _NUMBERS * hidden.size > device.largest_bytes:
+            return None
+        try:
+            with self._lock:
+                if self._chain is None or self._chain.size != size:
+                    self._chain = None  # gives its memory back before the next takes its own
+                    self._chain = RefocusChain(device, size)
+                return self._chain.composite(pictures, radii, hidden, layers)
+        except (DeviceError, OutOfMemoryError) as error:
+            self._chain = None
+            self.behind.fall_back(error)
+        return None
+
+
+def compositor_of(camera: CodedApertureCamera) -> DeviceCompositor | None:
+    """Return what refocuses on the device of a camera; None where it has none."""
+    return None if camera.device_method is None else DeviceCompositor(camera.device_method)
+
+
+_GRID = 256  # cells along a side of a mask; one or more a px of the largest blur of `refocus`, radius 120 px
+_BLACK = 0.02  # linear light of the brightest pixel below which a picture counts as black; chosen by hand
+
+
+def bokeh_mask(name: str) -> np.ndarray:
+    """Return the transmission of the pupil used for refocusing.
+
+    ``name``: ``disc``, ``hex``, or the path of a picture file, light on dark; its alpha channel multiplies the light.
+    Returns (256, 256) float32 in [0, 1] over [-1, 1]^2 in pupil radii. Raises InputError: no such shape or file, or the
+    picture is black.
+    """
+    axis = (np.arange(_GRID, dtype=np.float32) + 0.5) * 2 / _GRID - 1
+    x, y = np.meshgrid(axis, axis)
+    if name == "disc":
+        return np.clip((1 - np.hypot(x, y)) * _GRID / 2 + 0.5, 0, 1).astype(np.float32)
+    if name == "hex":
+        reach = np.max([np.abs(x * math.cos(t) + y * math.sin(t)) for t in np.radians((30.0, 90.0, 150.0))], axis=0)
+        edge = math.cos(math.radians(30))  # distance of the sides of a hexagon with corners at radius 1
+        return np.clip((edge - reach) * _GRID / 2 + 0.5, 0, 1).astype(np.float32)
+    return _from_picture(Path(name))
+
+
+def _from_picture(path: Path) -> np.ndarray:
+    picture = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path.is_file() else None
+    if picture is None:
+        raise InputError(f"unknown bokeh {str(path)!r}: choose disc, hex, or a readable picture file")
+    value = np.atleast_3d(picture).astype(np.float32) / (255.0 if picture.dtype == np.uint8 else 65535.0)
+    light = srgb_to_linear(value[..., :3].mean(axis=2))
+    if value.shape[2] == 4:
+        light = light * value[..., 3]
+    if not light.max() > _BLACK:
+        raise InputError(f"the bokeh picture {path.name} is black: draw the opening in white")
+    side = max(light.shape)
+    square = np.zeros((side, side), np.float32)
+    top, left = (side - light.shape[0]) // 2, (side - light.shape[1]) // 2
+    square[top : top + light.shape[0], left : left + light.shape[1]] = light / light.max()
+    return np.asarray(cv2.resize(square, (_GRID, _GRID), interpolation=cv2.INTER_AREA), np.float32)
+
+
+def bokeh_kernel(mask: np.ndarray, radius_px: float) -> np.ndarray:
+    """Return the pupil scaled to a blur radius; (s, s) float32, unit sum, s odd.
+
+    ``mask`` (n, n) float32: from `bokeh_mask`; ``radius_px``: signed: upright beyond the focus, rotated by 180 degrees
+    in front of it.
+    """
+    return _kernel(mask.tobytes(), mask.shape[0], round(float(radius_px), 3))
+
+
+@lru_cache(maxsize=256)
+def _kernel(data: bytes, count: int, radius_px: float) -> np.ndarray:
+    mask = np.frombuffer(data, np.float32).reshape(count, count)
+    if radius_px < 0:
+        mask = mask[::-1, ::-1]
+    radius = abs(radius_px)
+    size = 2 * math.ceil(radius) + 1
+    # Each cell of the mask is a square of light; its overlap with the pixels is exact and separates into x and y.
+    edges = np.arange(size + 1) - size / 2
+    cells = ((np.arange(count) + 0.5) * 2 / count - 1) * radius
+    half = max(radius / count, 1e-6)
+    overlap = np.diff(np.clip((edges[:, None] - cells) / (2 * half) + 0.5, 0, 1), axis=0)
+    kernel = overlap @ mask @ overlap.T
+    kernel = np.asarray(kernel / kernel.sum(), np.float32)
+    kernel.flags.writeable = False
+    return kernel

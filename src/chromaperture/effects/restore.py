@@ -15,16 +15,14 @@ import numpy as np
 from chromaperture.camera.alignment import channel_shifts
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import noise_of_photographs
-from chromaperture.color.alignment import align_channels, linear_displacement
-from chromaperture.color.defective_pixels import without_defects
-from chromaperture.color.image import SATURATION
+from chromaperture.color.alignment import align_channels, linear_displacement, white_gains
+from chromaperture.color.image import SATURATION, without_defects
 from chromaperture.color.registration import residual_displacement
 from chromaperture.color.unmixing import pure_channels
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus
 from chromaperture.effects.edge_aware import filter_disparity
-from chromaperture.effects.transfer_functions import Blur, LensTransfer, ThinLensBlur, radius_per_disparity
-from chromaperture.model.camera_file import Calibration
+from chromaperture.effects.layered_model import Blur, LensTransfer, ThinLensBlur, radius_per_disparity
 from chromaperture.system.errors import InputError
 
 _TILES, _MIN_TILE_PX = 5, 96  # tiles along the width, in each of which the blur counts as constant; chosen by hand
@@ -81,7 +79,7 @@ def restore(
         raise InputError(f"unknown sharpness {sharpness!r}: choose {', '.join(SHARPNESS)}")
     if image.shape[:2] != disparity_px.shape:
         raise InputError(f"disparity {disparity_px.shape} and image {image.shape[:2]} differ in size: two photographs")
-    gains = white_gains(camera.calibration)
+    gains = white_gains(camera.calibration.film.aperture)
     noise = noise_of_photographs(camera.calibration).variance(image)
     image = without_defects(np.asarray(image, np.float32), lambda _: noise)
     balanced = np.maximum(np.asarray(image, np.float32), 0) * gains
@@ -178,12 +176,6 @@ def fitted_settings(reach: float, *, reweightings: int) -> SharpenConfig:
         kernel_error=float(np.clip(error, *_KERNEL_ERROR)),
         reweightings=reweightings,
     )
-
-
-def white_gains(calibration: Calibration) -> np.ndarray:
-    """Return the gains that make a white sheet behind the aperture white; (3,) float32, the smallest 1."""
-    white = np.asarray(calibration.film.aperture, np.float32)
-    return white.max() / white
 
 
 def focus_radius(camera: CodedApertureCamera, focus_mm: float) -> float:

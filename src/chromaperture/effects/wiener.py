@@ -17,8 +17,7 @@ import cv2
 import numpy as np
 import scipy.fft
 
-from chromaperture.effects.layered_model import blurred_layers
-from chromaperture.effects.transfer_functions import Blur
+from chromaperture.effects.layered_model import Blur, blurred_layers
 
 # Chosen by hand; not tuned.
 _SAME_PX, _SAME_RADIUS = 0.8, 0.12  # blur radii that differ by less, px plus a fraction, are of one surface
@@ -125,12 +124,10 @@ def sharpen_layers(
 
 
 def extrapolated(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Extrapolate a surface smoothly beyond its border, so that other surfaces do not ring in it.
+    """Extrapolate a surface (H, W, 3) smoothly beyond what is ``known``, so that others do not ring in it.
 
     Push-pull (Gortler et al. 1996): known pixels are averaged down a pyramid; on the way up unknown pixels take the
     colour of the coarser level.
-
-    ``picture`` (H, W, 3) float32; ``known`` (H, W) bool. Returns (H, W, 3) float32.
     """
     if known.all():
         return picture

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from chromaperture.color.image import SATURATION
-from chromaperture.evaluation.tint import Tint
+from chromaperture.evaluation.health import Tint
 
 Verdict = Literal["ok", "warn", "cannot tell"]
 

@@ -13,7 +13,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from matplotlib.figure import Figure
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
-from chromaperture.evaluation import blur_figures, evidence, figures, tables
+from chromaperture.evaluation import figures, tables
 from chromaperture.evaluation.tables import Table
 from chromaperture.evaluation.verdict import sentences
 from chromaperture.system.storage import staged
@@ -74,25 +74,25 @@ def _sections(result: CalibrationResult) -> list[dict[str, Any]]:
         _drawn("Board by board", result, figures.draw_residuals,
                "Left, all of the frame: median, half and nine tenths of the pixels; right, the error of the median in "
                "distance.", tables.boards(result)),
-        _drawn("Ruler and corners", result, evidence.draw_ruler,
+        _drawn("Ruler and corners", result, figures.draw_ruler,
                "The size of the chessboard determines its distance independently; a point at more than three times the "
                "band is a misread ruler or board.",
                lines=() if result.ruler else ("No board poses: nothing to compare the ruler with.",)),
-        _drawn("Corners found", result, evidence.draw_corners,
+        _drawn("Corners found", result, figures.draw_corners,
                "Red dots are the corners; look for missing boards and corners off their squares."),
-        _drawn("Film", result, evidence.draw_film,
+        _drawn("Film", result, figures.draw_film,
                "In a good pair, the transmission of each film is near zero where it should block.",
                tables.unmixing(result)),
         *_tone_curve(result),
-        _drawn("The lens's blur", result, blur_figures.draw_blur,
+        _drawn("The lens's blur", result, figures.draw_blur,
                "How a point is blurred over the frame, near and far: the two halves of the pupil in their colours, cut "
-               "by the lens's rims towards the corners.", lines=blur_figures.blur_lines(result)),
-        _drawn("Depth by blur", result, blur_figures.draw_layers_of_blur,
+               "by the lens's rims towards the corners.", lines=figures.blur_lines(result)),
+        _drawn("Depth by blur", result, figures.draw_layers_of_blur,
                "What quality accurate measures on every board: half and nine tenths of the cells over the frame."),
-        _drawn("White sheets", result, evidence.draw_transparency,
+        _drawn("White sheets", result, figures.draw_transparency,
                "The open pupil shows the vignetting; the aperture's maps should be even, a ramp from side to side "
                "means that the film is off the stop."),
-        _drawn("Parameters", result, evidence.draw_correlation,
+        _drawn("Parameters", result, figures.draw_correlation,
                "Near ±1, a combination of the two parameters is known better than each of them.",
                tables.parameters(result)),
         _section("Notes", lines=result.notes or ("Nothing was missing.",)),
@@ -108,7 +108,7 @@ def _tone_curve(result: CalibrationResult) -> list[dict[str, Any]]:
         "What the chessboards show of the tone curve, which is undone in all photographs. The darkest tones are "
         "known least. Linear files have none."
     )
-    return [_drawn("Tone curve", result, evidence.draw_response, caption)]
+    return [_drawn("Tone curve", result, figures.draw_response, caption)]
 
 
 def _noise_of_accurate(result: CalibrationResult) -> tuple[str, ...]:

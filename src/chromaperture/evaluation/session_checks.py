@@ -24,7 +24,7 @@ from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
 from chromaperture.evaluation.checks import NOTHING_SEEN, Check, Exposure, is_healthy, is_uneven, urgent_first
 from chromaperture.evaluation.edge_blur import edge_blur, pupil_spread
-from chromaperture.evaluation.tint import measure_tint
+from chromaperture.evaluation.health import measure_tint
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Film
 from chromaperture.optics.aperture import channel_transmission, design_named, made_of

@@ -1,7 +1,7 @@
 """Match at a fraction of the photograph's pixels, and answer at all of them.
 
 Blur is many pixels of a real sensor wide and windows are wider: neither the volume nor the surface needs them all
-(``optics/lens_otf.py`` chooses the fraction). Area averages lose no light, and their noise is as much lower.
+(``optics/lens_blur.py`` chooses the fraction). Area averages lose no light, and their noise is as much lower.
 """
 
 from __future__ import annotations

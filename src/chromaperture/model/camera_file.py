@@ -17,10 +17,8 @@ import asdf
 import numpy as np
 
 from chromaperture.color.unmixing import mixing_matrix, own_film_unmixing, unmixing_rows
-from chromaperture.depth.conversion import DepthModel, depth_to_disparity
-from chromaperture.depth.field import DepthField
-from chromaperture.depth.field_file import field_from_tree, field_to_tree, plain
-from chromaperture.depth.paper_form import PaperParameters, model_to_paper
+from chromaperture.depth.conversion import DepthModel, PaperParameters, depth_to_disparity, model_to_paper
+from chromaperture.depth.field import DepthField, field_from_tree, field_to_tree, plain
 from chromaperture.model.asdf_input import read_tree
 from chromaperture.model.camera_parts import Board, CameraSensor, Film, Lens
 from chromaperture.model.camera_tree import CameraTree

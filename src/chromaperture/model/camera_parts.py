@@ -8,8 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from chromaperture.color.encoding import Encoding, Pattern, Siting, StatedFacts
-from chromaperture.color.response import ResponseCurve
+from chromaperture.color.encoding import Encoding, Pattern, ResponseCurve, Siting, StatedFacts
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Values of a camera file: types and ranges. Arrays are checked where they are used (`depth/field_file.py`)."""
+"""Values of a camera file: types and ranges. Arrays are checked where they are used (`depth/field.py`)."""
 
 from __future__ import annotations
 

@@ -12,11 +12,10 @@ from dataclasses import fields, replace
 import numpy as np
 
 from chromaperture.capture.picture_header import same_frame
-from chromaperture.depth.field_scale import resized_field
+from chromaperture.depth.field import resized_field
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import CameraSensor
-from chromaperture.optics.lens_blur import BlurModel
-from chromaperture.optics.lens_otf import mean_bars
+from chromaperture.optics.lens_blur import BlurModel, mean_bars
 from chromaperture.system.errors import InputError
 
 MATCHED_SIZE = "matched_size_px"  # in a camera file's provenance: width and height at which its boards were matched

@@ -10,24 +10,153 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Protocol
 
 import numpy as np
 
-from chromaperture.optics.filters import (
-    BLUE,
-    CLEAR,
-    CYAN,
-    FIXED,
-    GREEN,
-    MAGENTA,
-    OPAQUE,
-    RED,
-    YELLOW,
-    Filter,
-    film_named,
-)
-from chromaperture.optics.shapes import Disc, HalfPlane, Intersection, Shape, Square
 from chromaperture.system.errors import InputError
+
+
+@dataclass(frozen=True)
+class Filter:
+    """A colour filter: its transmission in the sensor's red, green and blue channel."""
+
+    name: str
+    transmission: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        if len(self.transmission) != 3 or not all(0 <= t <= 1 for t in self.transmission):
+            raise InputError(
+                f"filter {self.name!r} needs three transmissions (R, G, B) between 0 and 1, got {self.transmission}"
+            )
+
+
+RED = Filter("red", (1.0, 0.0, 0.0))
+GREEN = Filter("green", (0.0, 1.0, 0.0))
+BLUE = Filter("blue", (0.0, 0.0, 1.0))
+CYAN = Filter("cyan", (0.0, 1.0, 1.0))
+MAGENTA = Filter("magenta", (1.0, 0.0, 1.0))
+YELLOW = Filter("yellow", (1.0, 1.0, 0.0))
+CLEAR = Filter("clear", (1.0, 1.0, 1.0))
+OPAQUE = Filter("opaque", (0.0, 0.0, 0.0))
+
+
+def _film(**transmissions: tuple[float, float, float]) -> dict[str, Filter]:
+    return {name: Filter(name, values) for name, values in transmissions.items()}
+
+
+# "real": stage-light film before a Bayer sensor; it reproduces the paper's Table 1 for designs V and VII.
+# "leaky": crosstalk of the size measured by Setterfield et al. (2019) on a triple-pinhole camera, where a
+# filter passed .10 to .47 in a wrong channel against .25 to .39 in its own.
+FILMS: dict[str, dict[str, Filter]] = {
+    "ideal": {f.name: f for f in (RED, GREEN, BLUE, CYAN, MAGENTA, YELLOW)},
+    "real": _film(
+        red=(0.62, 0.03, 0.02),
+        green=(0.05, 0.60, 0.08),
+        blue=(0.02, 0.10, 0.55),
+        cyan=(0.10, 0.63, 0.65),
+        magenta=(0.85, 0.12, 0.70),
+        yellow=(0.92, 0.85, 0.10),
+    ),
+    "leaky": _film(
+        red=(0.39, 0.25, 0.10),
+        green=(0.26, 0.37, 0.20),
+        blue=(0.10, 0.26, 0.39),
+        cyan=(0.30, 0.62, 0.60),
+        magenta=(0.70, 0.33, 0.65),
+        yellow=(0.80, 0.75, 0.30),
+    ),
+}
+FIXED = {"clear": CLEAR, "opaque": OPAQUE}
+
+
+def film_named(name: str) -> dict[str, Filter]:
+    """Look up a set of film by name; raises InputError with the known names."""
+    try:
+        return FILMS[name]
+    except KeyError:
+        raise InputError(f"unknown film {name!r}: choose one of {', '.join(FILMS)}") from None
+
+
+class Shape(Protocol):
+    """A region of the pupil plane."""
+
+    def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Test which points lie inside; bool array of the shape of ``x``."""
+        ...
+
+
+@dataclass(frozen=True)
+class Disc:
+    """A disc, or with ``inner_radius`` a ring, in pupil radii."""
+
+    center: tuple[float, float] = (0.0, 0.0)
+    radius: float = 1.0
+    inner_radius: float = 0.0
+
+    def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:  # noqa: D102 - see Shape
+        r2 = (x - self.center[0]) ** 2 + (y - self.center[1]) ** 2
+        return (r2 < self.radius**2) & (r2 >= self.inner_radius**2)
+
+
+@dataclass(frozen=True)
+class HalfPlane:
+    """The points with ``normal . (x, y) >= offset``; ``normal`` is a unit vector."""
+
+    normal: tuple[float, float]
+    offset: float = 0.0
+
+    def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:  # noqa: D102 - see Shape
+        return self.normal[0] * x + self.normal[1] * y >= self.offset
+
+
+@dataclass(frozen=True)
+class Square:
+    """A square of the given side, turned by ``angle_deg`` about its centre."""
+
+    center: tuple[float, float]
+    side: float
+    angle_deg: float = 0.0
+
+    def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:  # noqa: D102 - see Shape
+        c, s = math.cos(math.radians(self.angle_deg)), math.sin(math.radians(self.angle_deg))
+        dx, dy = x - self.center[0], y - self.center[1]
+        return np.maximum(np.abs(c * dx + s * dy), np.abs(c * dy - s * dx)) < self.side / 2
+
+
+@dataclass(frozen=True)
+class Polygon:
+    """A polygon given by its corners, even-odd rule; it need not be convex."""
+
+    corners: tuple[tuple[float, float], ...]
+
+    def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:  # noqa: D102 - see Shape
+        # Points are sorted by y, so that each edge is tested only against those in its range.
+        order = np.argsort(y, axis=None)
+        xs, ys = np.ravel(x)[order], np.ravel(y)[order]
+        inside = np.zeros(xs.shape, bool)
+        for (x0, y0), (x1, y1) in zip(self.corners, self.corners[1:] + self.corners[:1], strict=True):
+            low, high = np.searchsorted(ys, (min(y0, y1), max(y0, y1)))
+            if low < high:
+                beside = slice(low, high)
+                inside[beside] ^= xs[beside] < x0 + (ys[beside] - y0) * (x1 - x0) / (y1 - y0)
+        out = np.empty(xs.shape, bool)
+        out[order] = inside
+        return out.reshape(np.shape(x))
+
+
+@dataclass(frozen=True)
+class Intersection:
+    """The points that lie in every one of the shapes, such as half of a ring."""
+
+    shapes: tuple[Shape, ...]
+
+    def contains(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:  # noqa: D102 - see Shape
+        inside = np.ones(np.shape(x), bool)
+        for shape in self.shapes:
+            inside &= shape.contains(x, y)
+        return inside
+
 
 _LARGEST_OVERLAP = 1e-3  # of the pupil's area; touching neighbours overlap by less than a row of grid cells
 # 17 ms a piece, most of it to find its area on a grid: 1 s for so many. Designs have two or three.
@@ -68,26 +197,16 @@ class Aperture:
     views: tuple[str, ...]
 
     def filter_named(self, name: str) -> Filter:
-        """Return the filter of a name such as ``"cyan"``.
-
-        Raises
-        ------
-        InputError
-            The aperture has no such filter.
-        """
+        """Return the filter of a name such as ``"cyan"``; raises InputError where there is none."""
         for part in self.parts:
             if part.filter.name == name:
                 return part.filter
         raise InputError(f"aperture {self.name!r} has no {name!r} filter")
 
     def with_film(self, film: Mapping[str, Sequence[float] | np.ndarray]) -> Aperture:
-        """Replace film in the same geometry.
+        """Replace film in the same geometry; ``film`` holds the transmission in R, G, B, (3,), by the filter's name.
 
-        Parameters
-        ----------
-        film : mapping of str to (3,) float
-            Transmission in R, G, B by the filter's name; other filters stay. Measured ones may lie somewhat outside 0
-            to 1, by uneven light or a colour matrix; here they end there.
+        Measured ones may lie somewhat outside 0 to 1, by uneven light or a colour matrix; here they end there.
         """
 
         def swap(part: SubAperture) -> SubAperture:
@@ -99,34 +218,13 @@ class Aperture:
         return replace(self, parts=tuple(map(swap, self.parts)))
 
     def transmission_map(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Look up the transmission in R, G, B at pupil points.
-
-        Parameters
-        ----------
-        x, y : (...) float
-            Pupil coordinates, in pupil radii.
-
-        Returns
-        -------
-        (..., 3) float64 in [0, 1]; 0 outside the pupil.
-        """
+        """Look up the transmission in R, G, B at pupil points, in radii; (..., 3) float64, 0 outside the pupil."""
         out = self.film_map(x, y)
         out[np.hypot(x, y) >= 1] = 0
         return out
 
     def film_map(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Look up the transmission like `transmission_map`, but without the pupil's rim.
-
-        Parameters
-        ----------
-        x, y : (...,) float
-            Pupil coordinates, radii.
-
-        Returns
-        -------
-        (..., 3) float64
-            In R, G, B.
-        """
+        """Look up the transmission like `transmission_map`, but without the pupil's rim; (..., 3) float64."""
         out = np.broadcast_to(np.array(self.remainder.transmission), (*np.shape(x), 3)).copy()
         for part in self.parts:
             out[part.shape.contains(x, y)] = part.filter.transmission
@@ -171,13 +269,10 @@ def channel_transmission(aperture: Aperture) -> np.ndarray:
 
 
 def centroids(aperture: Aperture, unmixing: np.ndarray | None = None) -> np.ndarray:
-    """Compute the centroid of each channel's pupil function.
+    """Compute the centroid of each channel's pupil function, pupil radii; (K, 2) float64, NaN without light.
 
-    A linear combination ``q`` of the sensor channels has the pupil function ``sum_k q_k A_k``, so unmixing moves the
-    centroids outwards: CYX separates the views of an open design further than RGB does.
-
-    ``unmixing`` (K, 3) float: rows are combinations of R, G, B; the identity when absent. Returns (K, 2) float64, pupil
-    radii; NaN for a channel without light..
+    ``unmixing`` (K, 3) float: rows q are combinations of R, G, B, whose pupil function is ``sum_k q_k A_k``: unmixing
+    moves the centroids outwards. The identity when absent.
     """
     rows = np.eye(3) if unmixing is None else np.asarray(unmixing, float)
     moments = rows @ channel_moments(aperture)
@@ -199,9 +294,7 @@ def made_of(aperture: Aperture, film: str) -> Aperture:
 
 
 def checked_aperture(aperture: Aperture) -> Aperture:
-    """Validate a user's design and return it.
-
-    Pieces may extend beyond the pupil, as film does under the rim of a stop; the pupil cuts them.
+    """Validate a user's design and return it; pieces may extend beyond the pupil, which cuts them.
 
     Raises InputError: more than `MOST_PIECES` pieces, a piece wholly outside the pupil, two that overlap, a view that
     names no piece, or no light passes.
@@ -309,3 +402,44 @@ def design_named(name: str) -> Aperture:
         return DESIGNS[name]
     except KeyError:
         raise InputError(f"unknown aperture design {name!r}: choose one of {', '.join(DESIGNS)}") from None
+
+
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # ITU-R BT.709
+
+
+@dataclass(frozen=True)
+class ApertureFigures:
+    """Figures of one design."""
+
+    channel_transmission: np.ndarray  # (3,) float64; light in R, G, B over that of the open pupil
+    efficiency_mean: float  # mean of the three
+    efficiency_luminance: float  # the same, weighted by luminance (ITU-R BT.709)
+    centroids: np.ndarray  # (K, 2) float64; of the K channels, pupil radii; NaN for a channel without light
+    beta: float  # r_c / R, mean distance of the outlying centroids from the pupil's centre, half the baseline: Eq. (6)
+
+
+def film_unmixing(aperture: Aperture) -> np.ndarray:
+    """Compute the least-squares unmixing of white light into the views; (K, 3) float64, identity without views."""
+    if not aperture.views:
+        return np.eye(3)
+    colours = np.array([aperture.filter_named(name).transmission for name in aperture.views])
+    return np.linalg.pinv(colours.T)
+
+
+def aperture_figures(aperture: Aperture, unmixing: np.ndarray | None = None) -> ApertureFigures:
+    """Compute the figures of a design for the sensor's channels, or for combinations of them.
+
+    ``unmixing`` (K, 3) float: rows are combinations of R, G, B; see `film_unmixing`. The identity when absent.
+    """
+    transmission = channel_transmission(aperture)
+    rho = centroids(aperture, unmixing)
+    seen = rho[np.isfinite(rho).all(axis=1)]
+    distance = np.linalg.norm(seen, axis=1)
+    outlying = distance > 1e-6  # green is the centred reference of complementary halves
+    return ApertureFigures(
+        channel_transmission=transmission,
+        efficiency_mean=float(transmission.mean()),
+        efficiency_luminance=float(transmission @ LUMINANCE),
+        centroids=rho,
+        beta=float(distance[outlying].mean()) if outlying.any() else 0.0,
+    )

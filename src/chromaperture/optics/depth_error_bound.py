@@ -15,8 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from chromaperture.optics.aperture import Aperture, channel_transmission
-from chromaperture.optics.metrics import aperture_figures, film_unmixing
+from chromaperture.optics.aperture import Aperture, aperture_figures, channel_transmission, film_unmixing
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.psf import geometric_otf
 from chromaperture.optics.simulator.sensor import SensorModel

@@ -10,7 +10,7 @@ f is the distance in focus; the derivation is in ``docs/equations.md``, *Measure
 measured one, D(z) / D_m times as large, and turned by half a turn on the other side of the focus. Aberrations, and what
 a pixel itself blurs, are taken to grow and shrink with it, and the focus surface to be flat. All else that shapes a
 kernel is held: films, rims, and how the halves of a dual pixel see the pupil, which in a telephone turns over the frame
-(`half_pixels.py` has ramps of one direction).
+(`dual_pixel_rays.py` has ramps of one direction).
 
 References
 ----------

@@ -33,3 +33,11 @@ def near_steps(z_mm: np.ndarray, *, jump: float, reach_px: int) -> np.ndarray:
     nearest = cv2.dilate(np.where(known, inverse, -1.0), window, borderType=cv2.BORDER_REPLICATE)
     farthest = cv2.erode(np.where(known, inverse, 1e9), window, borderType=cv2.BORDER_REPLICATE)
     return known & (nearest - farthest > jump * np.where(known, inverse, 1.0))
+
+
+def scaled(camera_matrix: np.ndarray, scale: int) -> np.ndarray:
+    """Return the camera matrix of the reduced picture, whose pixel centres lie at (scale - 1) / 2 of the full one's."""
+    matrix = np.array(camera_matrix, float)
+    matrix[:2] /= scale
+    matrix[:2, 2] -= (scale - 1) / (2 * scale)
+    return matrix

@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 
 from chromaperture.products.rectified import View
-from chromaperture.reconstruction.camera_matrix import scaled
-from chromaperture.reconstruction.clean_views import cleaned
+from chromaperture.reconstruction.clean_views import cleaned, scaled
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.tracking import (
     MIN_KNOWN,

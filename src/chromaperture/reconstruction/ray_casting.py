@@ -53,12 +53,10 @@ def cast_rays(
     max_distance_mm: float,
     min_weight: float,
 ) -> np.ndarray:
-    """Return the distance of the first surface along every pixel's ray, seen from its front.
+    """Return the distance of the first surface along every pixel's ray, seen from its front; (H, W) float32 mm, NaN.
 
-    ``voxels`` two (capacity, EDGE, EDGE, EDGE) float32: signed distance in units of the truncation, weight; axes z, y,
-    x; ``matrix`` (3, 3) float64, px; ``camera_to_world`` (4, 4) float64, mm; ``size`` height, width, px;
-    ``min_weight``: from which a voxel counts as known. Returns (H, W) float32 mm along the optical axis, NaN where
-    there is none.
+    ``voxels``: signed distance in units of the truncation, and weight, (capacity, EDGE, EDGE, EDGE) float32, axes z, y,
+    x; ``camera_to_world`` (4, 4), mm; ``size`` height, width; ``min_weight``: from which a voxel counts as known.
     """
     z_mm = np.full(size, np.nan, np.float32)
     if len(blocks.keys) == 0:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from chromaperture.products.rectified import View
-from chromaperture.reconstruction.camera_matrix import scaled
+from chromaperture.reconstruction.clean_views import scaled
 from chromaperture.reconstruction.direct_alignment import Level, align, pyramid, select_points
 from chromaperture.reconstruction.settings import ReconstructionConfig
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.products.rectified import View
-from chromaperture.reconstruction.camera_matrix import scaled
+from chromaperture.reconstruction.clean_views import scaled
 from chromaperture.reconstruction.fusion_kernels import Pixels, Voxels, clear_faint, fuse, holds_surface
 from chromaperture.reconstruction.ray_casting import EDGE, cast_rays, enlarged_distances, table_of
 from chromaperture.system.errors import MissingDependencyError
@@ -69,12 +69,10 @@ def in_order(mesh: Mesh) -> Mesh:
 
 
 class Volume:
-    """Voxels near surfaces, in blocks of 16^3.
+    """Voxels near surfaces, in blocks of 16^3, on Open3D's ``grid``, in metres.
 
-    ``memory_mb``: fixes the number of blocks; when they are used up, `full` turns true and nothing outside them is
+    ``memory_mb`` fixes the number of blocks; when they are used up, `full` turns true and nothing outside them is
     fused.
-
-    ``grid``: metres.
     """
 
     def __init__(self, *, voxel_mm: float, truncation_voxels: float, memory_mb: int, max_distance_mm: float) -> None:

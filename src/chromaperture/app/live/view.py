@@ -18,10 +18,9 @@ from chromaperture.app.messages import Packing, pack_frame
 from chromaperture.camera.camera import CodedApertureCamera, DepthFrame
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
 from chromaperture.effects.edge_aware import filter_disparity
-from chromaperture.effects.refocus_device import compositor_of
-from chromaperture.effects.refocusing import Focus, refocus
+from chromaperture.effects.layered_model import radius_per_disparity
+from chromaperture.effects.refocusing import Focus, compositor_of, refocus
 from chromaperture.effects.restore import focus_radius
-from chromaperture.effects.transfer_functions import radius_per_disparity
 from chromaperture.model.scale import reduced_size
 from chromaperture.products.measure_file import write_maps
 from chromaperture.reconstruction.clean_views import near_steps

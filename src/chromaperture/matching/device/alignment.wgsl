@@ -13,7 +13,7 @@ fn main(i) {
 
 // ---- nearest_rows: indexing, shared
 // Row of the nearest known pixel in the same column, -1 where there is none: the first half of
-// `color/nearest_known.py`. One invocation walks a column.
+// `color/alignment.py`. One invocation walks a column.
 
 in values: array<u32>;  // (H, W), NaN unknown
 out rows: array<i32>;  // (H, W)
@@ -37,7 +37,7 @@ fn main(group, groups, local) {
 
 // ---- nearest_known: indexing, shared
 // Value of the nearest known pixel at every unknown one, 0 where none is known: the second half of
-// `color/nearest_known.py`. Of pixels at one distance the first from the left counts, as there.
+// `color/alignment.py`. Of pixels at one distance the first from the left counts, as there.
 
 in values: array<u32>;  // (H, W), NaN unknown
 in rows: array<i32>;  // (H, W): of the nearest known pixel in the column
@@ -99,7 +99,7 @@ fn is_still(k: u32) -> bool {
     return length(direction_of(k)) < still;
 }
 
-// Place in the channel's view, -1 outside; rounded as `color/visibility.py` rounds.
+// Place in the channel's view, -1 outside; rounded as `color/row_alignment.py` rounds.
 fn place_in(k: u32, x: u32, y: u32, disparity: f32) -> i32 {
     let direction = direction_of(k);
     var at = vec2i(i32(x), i32(y));
@@ -183,7 +183,7 @@ fn cubic_at(moved: vec2f, k: u32) -> f32 {
 fn sample(x: u32, y: u32, k: u32, disparity: f32) -> f32 {
     let direction = select(direction_of(k), vec2f(), abs(direction_of(k)) < vec2f(still));
     if (direction.y == 0.0) {
-        // As `color/shift_kernels.py`: beyond 4 px outside there is only the border; 8 makes truncation round down.
+        // As `color/row_alignment.py`: beyond 4 px outside there is only the border; 8 makes truncation round down.
         let place = clamp(f32(x) + disparity * direction.x, -4.0, f32(width + 4u)) + 8.0;
         let first = i32(place);
         return along_row(first - 8i, y, k, weights_at(place - f32(first)));
@@ -275,7 +275,7 @@ fn main(i) {
 }
 
 // ---- hidden_filled: indexing, shared
-// Samples that are occluded in a channel, predicted from the colour line of their own surface (`color/visibility.py`,
+// Samples that are occluded in a channel, predicted from the colour line of their own surface (`color/row_alignment.py`,
 // fill_hidden), and all samples white balanced.
 
 in shifted: array<f32>;  // (H, W, 3)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from chromaperture.color.lens_shift import LensMoves
-from chromaperture.color.visibility import FEWEST, OCCLUSION_PX, RADIUS_PX, RIDGE, SAME_SURFACE_PX, STILL
+from chromaperture.color.row_alignment import FEWEST, OCCLUSION_PX, RADIUS_PX, RIDGE, SAME_SURFACE_PX, STILL
 from chromaperture.matching.device.device import Array, Chain, Device, DeviceError, Pending
 from chromaperture.matching.result import Disparity
 from chromaperture.system.errors import OutOfMemoryError

@@ -2,29 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from chromaperture.optics.aperture import Aperture
-from chromaperture.optics.shapes import Disc, HalfPlane, Intersection, Polygon, Shape, Square
+from chromaperture.optics.aperture import Aperture, Disc, HalfPlane, Intersection, Polygon, Shape, Square
 from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-
-import io
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 _PAGE_MM = (210.0, 297.0)  # A4
 _COLOURS = {"red": "#e03030", "green": "#20a040", "blue": "#3050e0", "cyan": "#30c0d8", "magenta": "#d840b0",

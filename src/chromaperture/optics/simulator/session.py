@@ -12,11 +12,9 @@ from typing import cast
 import cv2
 import numpy as np
 
-from chromaperture.optics.aperture import DESIGNS, Aperture, SubAperture
-from chromaperture.optics.filters import CYAN, OPAQUE, YELLOW, Filter
+from chromaperture.optics.aperture import CYAN, DESIGNS, OPAQUE, YELLOW, Aperture, Disc, Filter, SubAperture
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.optics.ray_table import RayTable
-from chromaperture.optics.shapes import Disc
 from chromaperture.optics.simulator import textures
 from chromaperture.optics.simulator.render import render, render_depth
 from chromaperture.optics.simulator.scene import Plane, plane
@@ -71,13 +69,11 @@ def write_session(
     report: Callable[[str], None] = lambda note: None,
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> None:
-    """Render and write a session.
+    """Render and write a session, ``white`` and ``truth`` too, into ``folder``.
 
-    ``folder``: the session's folder, which holds everything, ``white`` and ``truth`` too; ``camera``: for the facts in
-    ``session.toml`` and the true pupil; ``rays``: returns the ray table of the camera with an aperture; ``report``:
-    called with a sentence for every photograph that is left out; ``progress``: called with the name of the step, the
-    number of photographs written, and the total. Raises InputError: no distances, a board behind the camera, or one
-    that leaves the frame at every distance.
+    ``rays``: returns the ray table of the camera with an aperture; ``report``: called with a sentence for every
+    photograph that is left out; ``progress``: with the step, how many photographs are written, and of how many. Raises
+    InputError: no distances, a board behind the camera, or one that leaves the frame at every distance.
     """
     if not plan.distances_mm:
         raise InputError("a session needs at least one board distance")

@@ -1,13 +1,10 @@
-"""Calibrate a dual-pixel camera from its lens's prescription as its maker would: trace a session, and ``calibrate`` it.
+"""Calibrate a dual-pixel camera from its lens's prescription as its maker would: trace a session, and calibrate it.
 
-The ray tracer photographs boards through the lens and the sensor's half pixels; what `calibrate_session` fits to them
-is the whole camera: film, pinhole, curves and blur. Only what no board can tell is given: how the sensor's contrast
-falls towards its sides.
+Only what no board can tell is given: how the sensor's contrast falls towards its sides.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,19 +12,17 @@ from typing import Any
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.options import Progress, silent
 from chromaperture.depth.field import DepthField
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS, Aperture
 from chromaperture.optics.lens_blur import BlurModel
-from chromaperture.optics.paraxial import focused_at, paraxial
-from chromaperture.optics.pinhole import centered_pinhole, pupil_camera
+from chromaperture.optics.pinhole import centered_pinhole, focused_at, paraxial, pupil_camera
 from chromaperture.optics.prescription import Prescription
 from chromaperture.optics.ray_table import RayTable, lens_rays
 from chromaperture.optics.simulator.sensor import SensorModel
 from chromaperture.optics.simulator.session import SessionPlan, write_session
 from chromaperture_paper.dual_pixel_camera import with_focus_error
-from chromaperture_paper.half_pixels import HalfPixels, half_pixel_rays
+from chromaperture_paper.dual_pixel_rays import HalfPixels, half_pixel_rays
 
 # Even in 1 / z, from the nearest that the lens focuses to where parallax changes by .02 px
 BOARDS_MM = tuple(float(round(1 / inverse)) for inverse in np.linspace(1 / 450, 1 / 5000, 12))
@@ -41,13 +36,7 @@ _START_RIM = {"front_rim_radius": 1.2, "front_rim_shift": 0.2, "rear_rim_radius"
 
 
 def write_lens_session(
-    folder: Path,
-    lens: Prescription,
-    halves: HalfPixels,
-    *,
-    focus_mm: float,
-    size: dict[str, Any],
-    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+    folder: Path, lens: Prescription, halves: HalfPixels, *, focus_mm: float, size: dict[str, Any]
 ) -> None:
     """Photograph a calibration session through a lens of known prescription and half pixels, ray by ray.
 
@@ -68,7 +57,7 @@ def write_lens_session(
 
     write_session(
         folder, aperture=DESIGNS["cy_halves"], camera=camera, rays=rays, scenes={},
-        plan=SessionPlan(distances_mm=BOARDS_MM, tilts=TILTS, sensor=SENSOR), progress=progress,
+        plan=SessionPlan(distances_mm=BOARDS_MM, tilts=TILTS, sensor=SENSOR),
     )  # fmt: skip
 
 
@@ -79,10 +68,9 @@ def calibrated_by_session(
     draft: Calibration,
     *,
     focus_mm: float,
-    progress: Progress = silent,
     keep_in: Path | None = None,
 ) -> Calibration:
-    """Calibrate a session of `write_lens_session`; distances count from the entrance pupil.
+    """Calibrate a session of `write_lens_session` as the lens's maker would; distances count from the entrance pupil.
 
     The fit of the blur starts from a thin lens at the focus of the design, with the sensor's fall of contrast.
 
@@ -103,7 +91,7 @@ def calibrated_by_session(
     )
     matrix = centered_pinhole(pupil.focal_px, (sensor.width_px, sensor.height_px))
     known = replace(draft, blur=thin, lens=replace(draft.lens, camera_matrix=matrix))
-    found = calibrate_session(folder, lens_from=known, progress=progress, keep_in=keep_in).camera
+    found = calibrate_session(folder, lens_from=known, keep_in=keep_in).camera
     depth = {quality: with_focus_error(_from_pupil(field, pupil_mm)) for quality, field in found.depth.items()}
     return replace(found, sensor=sensor, depth=depth, near_mm=draft.near_mm, far_mm=draft.far_mm)
 
