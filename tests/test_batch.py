@@ -13,7 +13,7 @@ import pytest
 
 import chromaperture as cap
 from chromaperture.cli import console
-from chromaperture.products import batch
+from chromaperture.products import archive_cluster as batch
 from chromaperture.products.archive_cluster import recipe_for
 
 SAMPLE = "still_life_cy_halves"

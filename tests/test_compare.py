@@ -16,8 +16,7 @@ from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.pointcloud import PointCloud, write_ply
 from chromaperture.evaluation.compare import compare_cameras, compare_depth
 from chromaperture.evaluation.compare_page import camera_page, depth_page
-from chromaperture.files.map_data import every
-from chromaperture.files.map_page import Page, Panel, render
+from chromaperture.files.map_page import Page, Panel, every, render
 from chromaperture.files.pictures import write_color_png, write_depth_png, write_float_tiff
 from chromaperture.products.result_files import StoredDepth, read_depth, read_ply, read_result
 from chromaperture.products.samples import sample_camera

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from chromaperture.optics.kernel_blur import blur_from_kernels
     from chromaperture.products.mcap import write_mcap
     from chromaperture.products.measure_file import measure_file
+    from chromaperture.products.posed_sequence import write_tum
     from chromaperture.products.rectified import undistorter
     from chromaperture.products.samples import open_sample, sample_camera, sample_image, samples
-    from chromaperture.products.tum import write_tum
     from chromaperture.settings.methods import (
         AccurateConfig,
         Config,

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.checks import check_output
-from chromaperture.cli.options import Film, FocusMm, Json, Lens, Quiet, SensorWidthMm, Width
+from chromaperture.cli.options import Film, FocusMm, Json, Lens, Quiet, SensorWidthMm, Width, check_output
 from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from chromaperture.cli.checks import check_output
-from chromaperture.cli.options import Json, Quiet
+from chromaperture.cli.options import Json, Quiet, check_output
 
 if TYPE_CHECKING:
     from chromaperture.calibration.calibrate_session import CalibrationResult

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from chromaperture.cli.checks import check_film
 from chromaperture.cli.options import (
     Anyway,
     BlackLevel,
@@ -28,6 +27,7 @@ from chromaperture.cli.options import (
     Quiet,
     Scale,
     WhiteLevel,
+    check_film,
     working_scale,
 )
 from chromaperture.cli.options import crop_origin as crop_from

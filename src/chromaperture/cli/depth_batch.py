@@ -17,9 +17,8 @@ from chromaperture.capture.shots import counted
 from chromaperture.cli.console import announce_duration, out, print_json, print_reports, progress, say_error
 from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.products.archive import Failure, Kept, measure_files
-from chromaperture.products.archive_cluster import Recipe, RecipeOrigin
+from chromaperture.products.archive_cluster import Recipe, RecipeOrigin, measure_in_processes
 from chromaperture.products.archive_store import absolute
-from chromaperture.products.batch import measure_in_processes
 from chromaperture.products.measure_file import Written
 from chromaperture.system.errors import CaptureWarning, ChromapertureError
 

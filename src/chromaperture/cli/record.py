@@ -39,7 +39,7 @@ def record(
     """
     from chromaperture.capture.recording import Recorder
     from chromaperture.cli.console import print_json, progress
-    from chromaperture.cli.streams import open_stream
+    from chromaperture.cli.setup import open_stream
     from chromaperture.model.camera_file import Calibration
 
     calibration = None if camera is None else Calibration.load(camera)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.checks import check_film, check_output
 from chromaperture.cli.options import (
     Anyway,
     BlackLevel,
@@ -22,6 +21,8 @@ from chromaperture.cli.options import (
     Quality,
     Quiet,
     WhiteLevel,
+    check_film,
+    check_output,
 )
 from chromaperture.system.errors import InputError
 

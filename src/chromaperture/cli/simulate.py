@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.checks import check_output
 from chromaperture.cli.options import (
     BOARDS_PANEL,
     CAMERA_PANEL,
@@ -24,6 +23,7 @@ from chromaperture.cli.options import (
     SensorWidthMm,
     SimulatedDesign,
     Width,
+    check_output,
 )
 from chromaperture.system.errors import InputError
 

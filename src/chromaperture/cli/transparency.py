@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.checks import check_output
-from chromaperture.cli.options import BlackLevel, Json, Quiet, WhiteLevel
+from chromaperture.cli.options import BlackLevel, Json, Quiet, WhiteLevel, check_output
 from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:

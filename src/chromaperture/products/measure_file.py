@@ -18,9 +18,8 @@ from chromaperture.capture.picture_format import PictureFormat, described
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.depth.pointcloud import PointCloud, depth_to_points
 from chromaperture.frame import frame_files
-from chromaperture.frame.depth_frame import DepthFrame
+from chromaperture.frame.depth_frame import DepthFrame, summarise
 from chromaperture.frame.frame_files import OUTPUTS, chosen_outputs
-from chromaperture.frame.summary import summarise
 from chromaperture.system.errors import CaptureWarning, within_memory
 from chromaperture.system.storage import staged, write_json
 
