@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import io
 import json
 import re
@@ -27,9 +26,8 @@ PATIENCE_S = 30.0  # for a line that comes after a hundredth of a second on a ma
 @pytest.fixture
 def soon(monkeypatch):
     """Commands print their lines after a hundredth of a second."""
-    quick = functools.partial(console.progress, line_every_s=0.01)
-    monkeypatch.setattr(console, "progress", quick)
-    return quick
+    monkeypatch.setattr(console, "LINE_EVERY_S", 0.01)
+    return console.progress
 
 
 class Watched:

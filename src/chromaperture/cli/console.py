@@ -79,10 +79,10 @@ def show_warning(
 
 
 @contextlib.contextmanager
-def progress(*, quiet: bool, line_every_s: float = LINE_EVERY_S) -> Iterator[Update]:
+def progress(*, quiet: bool, line_every_s: float | None = None) -> Iterator[Update]:
     """Show how far a command is, on standard error; yields ``update(what, done, total)``.
 
-    On a terminal it is a bar with the remaining time; elsewhere a line as often as ``line_every_s`` while there is
+    On a terminal it is a bar with the remaining time; elsewhere a line every ``line_every_s``, or `LINE_EVERY_S`, while there is
     something new, less often where there is nothing, and none for what takes no longer than that.
     """
     if quiet:
@@ -91,7 +91,7 @@ def progress(*, quiet: bool, line_every_s: float = LINE_EVERY_S) -> Iterator[Upd
         with _bar() as update:
             yield update
     else:
-        with _lines(line_every_s) as update:
+        with _lines(LINE_EVERY_S if line_every_s is None else line_every_s) as update:
             yield update
 
 

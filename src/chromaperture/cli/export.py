@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from chromaperture.cli.console import compile_kernels, progress, say_warning
 from chromaperture.cli.options import (
     Anyway,
     BlackLevel,
@@ -65,7 +66,6 @@ def export(
 
     chromaperture export replay:session/walk walk --camera camera.asdf --format nerfstudio
     """
-    from chromaperture.cli.console import compile_kernels, progress, say_warning
     from chromaperture.cli.setup import camera_for, open_stream
     from chromaperture.products.rectified import of_stream, undistorter
 
@@ -127,7 +127,6 @@ def _writer(
         return partial(write_posed, form=form), lambda view: None
     if trajectory is not None:
         return partial(write_posed, form=form, poses=read_trajectory(trajectory)), lambda view: None
-    from chromaperture.cli.console import say_warning
     from chromaperture.reconstruction.poses import Tracker
 
     tracker = Tracker(matrix, listener=say_warning)

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from chromaperture.cli.console import compile_kernels, print_files, print_json, progress, say_warning
 from chromaperture.cli.options import (
     Anyway,
     BlackLevel,
@@ -49,7 +50,6 @@ def reconstruct(
 
     Example: chromaperture reconstruct replay:session/walk --camera camera.asdf --out model
     """
-    from chromaperture.cli.console import compile_kernels, print_files, print_json, progress, say_warning
     from chromaperture.cli.setup import camera_for, open_stream
     from chromaperture.model.camera_file import Calibration
     from chromaperture.reconstruction.build_model import reconstruct as build

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from chromaperture.cli.console import progress
 from chromaperture.cli.options import (
     BOARDS_PANEL,
     CAMERA_PANEL,
@@ -66,7 +67,6 @@ def simulate(
 
     Example: chromaperture simulate session/cy_halves --step-mm 500 --width 360 --height 240
     """
-    from chromaperture.cli.console import progress
     from chromaperture.optics.paraxial import focused_at
     from chromaperture.optics.pinhole import pupil_camera
     from chromaperture.optics.prescription import load_lens, with_filter_at
