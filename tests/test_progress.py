@@ -82,9 +82,10 @@ def test_a_state_that_lasts_is_said_again(soon, monkeypatch):
             time.sleep(0.005)
 
 
-def test_lines_are_rate_limited(capfd):
+def test_lines_are_rate_limited(capfd, monkeypatch):
     """A thousand states within one interval are one line at the most; a command shorter than that has none."""
-    with console.progress(quiet=False, line_every_s=3600.0) as update:
+    monkeypatch.setattr(console, "LINE_EVERY_S", 3600.0)
+    with console.progress(quiet=False) as update:
         for frame in range(1000):
             update(f"frame {frame}", frame, 0)
     assert capfd.readouterr() == ("", "")

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field, GetCoreSchemaHandler, GetPydanticSchema
-from pydantic_core import CoreSchema, core_schema
+from pydantic import AfterValidator, ConfigDict, Field, GetCoreSchemaHandler, GetPydanticSchema
 
 from chromaperture.color.color_space import TRANSFERS
 from chromaperture.color.encoding import Encoding, Pattern, Siting, StatedFacts
@@ -21,9 +20,7 @@ from chromaperture.system.validation import LARGEST_SIDE, Finite, Name, NotNegat
 
 def stored_as(kind: Any, made: Callable[[Any], Any] = np.array) -> GetPydanticSchema:
     """Return the annotation of a field that a file holds as plain values of a type, of which ``made`` makes it."""
-    return GetPydanticSchema(
-        lambda _, handler: core_schema.no_info_after_validator_function(made, handler.generate_schema(kind))
-    )
+    return GetPydanticSchema(lambda _, handler: handler.generate_schema(Annotated[kind, AfterValidator(made)]))
 
 
 class CameraPart:
@@ -32,7 +29,7 @@ class CameraPart:
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(strict=True, extra="ignore")
 
     @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
         schema: Any = handler(source)
         schema["strict"] = False  # of the table, which is a mapping in the file; its values stay strict
         return schema
