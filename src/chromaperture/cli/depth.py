@@ -41,7 +41,7 @@ from chromaperture.system.errors import CaptureWarning, ChromapertureError, Inpu
 
 if TYPE_CHECKING:
     from chromaperture.camera.camera import CodedApertureCamera
-    from chromaperture.products.archive_cluster import Outcome, Recipe
+    from chromaperture.products.archive import Outcome, Recipe
     from chromaperture.products.measure_file import Written
 
 MOST_COLUMNS = 6  # photographs in a table of results; more are counted. Six fit a line of 160 letters
@@ -146,7 +146,7 @@ def depth(
     }  # fmt: skip
     if cluster is not None:
         from chromaperture.cli.setup import camera_for
-        from chromaperture.products.archive_cluster import recipe_for
+        from chromaperture.products.archive import recipe_for
 
         if camera is None or design is not None:
             raise InputError("--cluster measures depth: give the camera file with --camera, and no --design")
@@ -158,7 +158,7 @@ def depth(
     camera_of = cameras(paths[0], camera, design, **settings)
     made_by: Recipe | None = None
     if camera is not None:
-        from chromaperture.products.archive_cluster import recipe_for
+        from chromaperture.products.archive import recipe_for
 
         where = None if out is None else str(as_path(out))
         made_by = recipe_for(camera, camera_of(paths[0]), out=where, again=again, **options)
@@ -311,8 +311,7 @@ def _here(
     update: Callable[[str, int, int], None],
     options: dict[str, Any],
 ) -> Iterator[tuple[str, int]]:
-    from chromaperture.products.archive import Failure, Kept, measure_files
-    from chromaperture.products.archive_cluster import RecipeOrigin
+    from chromaperture.products.archive import Failure, Kept, RecipeOrigin, measure_files
 
     def show(stage: str, i: int) -> None:
         update(f"{images[i].name}: {stage}", i, len(images))
@@ -333,7 +332,7 @@ def _here(
 
 
 def _in_processes(images: Sequence[Path], recipe: Recipe, jobs: int, batch: Batch) -> Iterator[tuple[str, int]]:
-    from chromaperture.products.archive_cluster import measure_in_processes
+    from chromaperture.products.archive import measure_in_processes
     from chromaperture.products.archive_store import absolute
 
     yield "photographs", 0
@@ -396,7 +395,7 @@ def measure_archive(
 
     Raises InputError: see `measure_on_cluster`; what is complete is kept.
     """
-    from chromaperture.products.archive_cluster import measure_on_cluster
+    from chromaperture.products.archive import measure_on_cluster
 
     failed: list[Outcome] = []
     measured = kept = 0
