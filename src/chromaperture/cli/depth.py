@@ -41,7 +41,7 @@ from chromaperture.system.errors import CaptureWarning, ChromapertureError, Inpu
 
 if TYPE_CHECKING:
     from chromaperture.camera.camera import CodedApertureCamera
-    from chromaperture.products.archive import Outcome, Recipe
+    from chromaperture.products.archive import Recipe
     from chromaperture.products.measure_file import Written
 
 MOST_COLUMNS = 6  # photographs in a table of results; more are counted. Six fit a line of 160 letters
@@ -131,6 +131,7 @@ def depth(
     if len(names) == 1 and cluster is None:  # what cannot be read is refused before anything else is loaded
         format_of(as_path(names[0]), stated)
     from chromaperture.frame.frame_files import chosen_outputs
+    from chromaperture.products.archive import recipe_for
 
     refuse_common_results(names, out)
     chosen_outputs(write, is_calibrated=camera is not None)  # before the work
@@ -146,7 +147,6 @@ def depth(
     }  # fmt: skip
     if cluster is not None:
         from chromaperture.cli.setup import camera_for
-        from chromaperture.products.archive import recipe_for
 
         if camera is None or design is not None:
             raise InputError("--cluster measures depth: give the camera file with --camera, and no --design")
@@ -158,8 +158,6 @@ def depth(
     camera_of = cameras(paths[0], camera, design, **settings)
     made_by: Recipe | None = None
     if camera is not None:
-        from chromaperture.products.archive import recipe_for
-
         where = None if out is None else str(as_path(out))
         made_by = recipe_for(camera, camera_of(paths[0]), out=where, again=again, **options)
         if len(paths) == 1:  # measured in any case, and no more is written than what was asked for
@@ -220,9 +218,7 @@ def refuse_common_results(names: Sequence[str], out: str | None) -> None:
             raise InputError(f"a result of {name} would replace the photograph {replaced}; choose another --out folder")
 
 
-def cameras(
-    first: Path, camera: Path | None, design: str | None, **settings: Any
-) -> Callable[[Path], CodedApertureCamera]:
+def cameras(first: Path, camera: Path | None, design: str | None, **settings: Any) -> CameraOf:
     """Return the function from an image to its camera: the file's, read once, or one for each size for a design.
 
     ``settings`` are those of `camera_for`.
@@ -252,6 +248,22 @@ class Batch:
     reports: list[Written] = field(default_factory=list)  # of all that are complete
     kept: list[str] = field(default_factory=list)
     failed: list[tuple[str, str]] = field(default_factory=list)  # photograph and error
+    measured: int = 0
+
+    @property
+    def stage(self) -> str:
+        """What the progress says is being done."""
+        return f"photographs ({len(self.failed)} failed)" if self.failed else "photographs"
+
+    @property
+    def counts(self) -> str:
+        """How many were measured, kept, and failed."""
+        return f"{self.measured} measured, {len(self.kept)} complete before, {len(self.failed)} failed"
+
+    def exit_if_failed(self) -> None:
+        """End with 1 where some could not be measured, with 2 where none could."""
+        if self.failed:
+            raise typer.Exit(1 if self.measured or self.kept else 2)
 
 
 def measure_batch(
@@ -266,7 +278,7 @@ def measure_batch(
     left_out: Mapping[Path, str],
     **options: Any,
 ) -> None:
-    """Measure photographs, report them, and end with 1 where some could not be measured, with 2 where none could.
+    """Measure photographs here, report them, and end with an exit code where some could not be measured.
 
     ``recipe`` is there for a camera that was calibrated: results that it made before are kept. ``left_out`` are files
     that are no photographs, see `one_of_each`.
@@ -279,8 +291,8 @@ def measure_batch(
             states = _in_processes(images, recipe, jobs, batch)
         else:
             states = _here(images, camera_of, recipe, batch, update, options)
-        for what, done in states:
-            update(f"{what} ({len(batch.failed)} failed)" if batch.failed else what, done, len(images))
+        for done in states:
+            update(batch.stage, done, len(images))
     seconds = time.monotonic() - began
     if json:
         reports = [report.summary | {"files": [str(path) for path in report.files]} for report in batch.reports]
@@ -288,11 +300,10 @@ def measure_batch(
     elif not quiet:
         _print(batch, len(images), seconds, note)
         print_left_out(left_out)
-    if batch.failed:
-        if len(images) > 1:
-            names = ", ".join(Path(image).name for image, _ in batch.failed)
-            say_error(f"{len(batch.failed)} of {len(images)} photographs could not be measured: {names}")
-        raise typer.Exit(1 if batch.reports else 2)
+    if batch.failed and len(images) > 1:
+        names = ", ".join(Path(image).name for image, _ in batch.failed)
+        say_error(f"{len(batch.failed)} of {len(images)} photographs could not be measured: {names}")
+    batch.exit_if_failed()
 
 
 def print_left_out(left_out: Mapping[Path, str]) -> None:
@@ -310,7 +321,8 @@ def _here(
     batch: Batch,
     update: Callable[[str, int, int], None],
     options: dict[str, Any],
-) -> Iterator[tuple[str, int]]:
+) -> Iterator[int]:
+    """Measure one photograph after the other; yields how many are done."""
     from chromaperture.products.archive import Failure, Kept, RecipeOrigin, measure_files
 
     def show(stage: str, i: int) -> None:
@@ -328,14 +340,16 @@ def _here(
             batch.reports.append(_read(result.image, recipe))
         else:
             batch.reports.append(result)
-        yield "photographs", done
+            batch.measured += 1
+        yield done
 
 
-def _in_processes(images: Sequence[Path], recipe: Recipe, jobs: int, batch: Batch) -> Iterator[tuple[str, int]]:
+def _in_processes(images: Sequence[Path], recipe: Recipe, jobs: int, batch: Batch) -> Iterator[int]:
+    """Measure several photographs at a time; yields how many are done."""
     from chromaperture.products.archive import measure_in_processes
     from chromaperture.products.archive_store import absolute
 
-    yield "photographs", 0
+    yield 0
     reports: dict[str, Written] = {}
     names = [absolute(str(image)) for image in images]
     for done, outcome in enumerate(measure_in_processes(names, recipe, jobs=jobs), 1):
@@ -349,7 +363,9 @@ def _in_processes(images: Sequence[Path], recipe: Recipe, jobs: int, batch: Batc
             reports[outcome.image] = _read(outcome.image, recipe)
             if outcome.kept:
                 batch.kept.append(outcome.image)
-        yield "photographs", done
+            else:
+                batch.measured += 1
+        yield done
     batch.reports += [reports[name] for name in names if name in reports]
     batch.kept.sort(key=names.index)  # processes end in any order
     batch.failed.sort(key=lambda failed: names.index(failed[0]))
@@ -367,14 +383,11 @@ def _read(image: str, recipe: Recipe) -> Written:
 
 
 def _print(batch: Batch, count: int, seconds: float, note: str) -> None:
-
     if count <= MOST_COLUMNS:
         if batch.reports:
             print_reports(batch.reports, note=note)
     else:
-        measured = len(batch.reports) - len(batch.kept)
-        counts = f"{measured} measured, {len(batch.kept)} complete before, {len(batch.failed)} failed"
-        console.print(f"{count} photographs in {seconds:.0f} s: {counts}")
+        console.print(f"{count} photographs in {seconds:.0f} s: {batch.counts}")
         folders = {file.parent for report in batch.reports for file in report.files}
         for folder in sorted(folders):
             console.print(f"Wrote to {folder}", soft_wrap=True, markup=False, highlight=False)
@@ -389,17 +402,13 @@ def _print(batch: Batch, count: int, seconds: float, note: str) -> None:
 def measure_archive(
     images: Sequence[str], recipe: Recipe, address: str, *, left_out: Mapping[Path, str], json: bool, quiet: bool
 ) -> None:
-    """Measure photographs on a cluster, print each failure as it happens and a summary.
-
-    The exit code is 1 where some could not be measured, 2 where none could.
+    """Measure photographs on a cluster, print each failure as it happens and a summary; ends as `measure_batch`.
 
     Raises InputError: see `measure_on_cluster`; what is complete is kept.
     """
     from chromaperture.products.archive import measure_on_cluster
 
-    failed: list[Outcome] = []
-    measured = kept = 0
-    began = time.monotonic()
+    batch, began = Batch(), time.monotonic()
     try:
         with progress(quiet=quiet) as update:
             update("waiting for the cluster", 0, len(images))
@@ -407,27 +416,22 @@ def measure_archive(
                 for text in outcome.warnings:
                     warnings.warn(text, CaptureWarning, stacklevel=2)
                 if outcome.error:
-                    failed.append(outcome)
+                    batch.failed.append((outcome.image, outcome.error))
                     say_error(f"{outcome.image}: {outcome.error}")
                 elif outcome.kept:
-                    kept += 1
+                    batch.kept.append(outcome.image)
                 else:
-                    measured += 1
-                update(f"photographs ({len(failed)} failed)" if failed else "photographs", done, len(images))
+                    batch.measured += 1
+                update(batch.stage, done, len(images))
     except InputError as error:
-        raise InputError(f"{error} ({_counts(measured, kept, len(failed))}, of {len(images)})") from None
+        raise InputError(f"{error} ({batch.counts}, of {len(images)})") from None
     seconds = time.monotonic() - began
     if json:
-        failures = [{"image": outcome.image, "error": outcome.error} for outcome in failed]
+        failures = [{"image": image, "error": error} for image, error in batch.failed]
         others = [{"image": path.name, "left_out": reason} for path, reason in left_out.items()]
-        counts = {"measured": measured, "kept": kept, "failed": failures, "left_out": others}
+        counts = {"measured": batch.measured, "kept": len(batch.kept), "failed": failures, "left_out": others}
         print_json(counts | {"seconds": round(seconds, 1)})
     elif not quiet:
-        console.print(f"{len(images)} photographs in {seconds:.0f} s: {_counts(measured, kept, len(failed))}")
+        console.print(f"{len(images)} photographs in {seconds:.0f} s: {batch.counts}")
         print_left_out(left_out)
-    if failed:
-        raise typer.Exit(1 if measured or kept else 2)
-
-
-def _counts(measured: int, kept: int, failed: int) -> str:
-    return f"{measured} measured, {kept} complete before, {failed} failed"
+    batch.exit_if_failed()
