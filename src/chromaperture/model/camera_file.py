@@ -69,7 +69,7 @@ def _curves(tree: Mapping[str, Mapping[str, Any]]) -> dict[Quality, DepthField]:
     try:
         return {quality: field_from_tree(tree[quality]) for quality in QUALITIES if quality in tree}
     except ValueError as error:
-        raise ValueError(f"{error}; calibrate again") from None
+        raise ValueError(f"the curves are damaged ({error}); calibrate again") from None
 
 
 def _blur(values: Mapping[str, float]) -> BlurModel:
