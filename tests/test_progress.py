@@ -152,7 +152,7 @@ def test_simulate_counts_its_photographs_on_standard_error(soon, tmp_path, monke
         def __exit__(self, *error):
             return None
 
-    monkeypatch.setattr(console, "progress", lambda quiet: Counting())
+    monkeypatch.setattr("chromaperture.cli.simulate.progress", lambda quiet: Counting())
     command = ["simulate", tmp_path / "s", "--thin", "--cells", "4", "--width", "60", "--height", "40"]
     monkeypatch.setattr(sys, "argv", ["chromaperture", *map(str, command), "--step-mm", "1500", "--tilts", "1"])
     main_ended(main)

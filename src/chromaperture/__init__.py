@@ -62,9 +62,9 @@ _MODULES = {
     "optics.kernel_blur": "blur_from_kernels",
     "products.mcap": "write_mcap",
     "products.measure_file": "measure_file",
+    "products.posed_sequence": "write_tum",
     "products.rectified": "undistorter",
     "products.samples": "open_sample sample_camera sample_image samples",
-    "products.tum": "write_tum",
     "files.pictures": "write_color_png write_depth_png write_float_tiff",
     "tasks": "all_in_focus calibrate refocus",
 }
