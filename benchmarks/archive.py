@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 
 import chromaperture as cap
-from chromaperture.products.archive_cluster import Outcome, Recipe, measure_photograph, recipe_for
+from chromaperture.products.archive import Outcome, Recipe, measure_photograph, recipe_for
 from chromaperture.system.cluster import connected, run_tasks
 
 SAMPLE = "still_life_cy_halves"

@@ -107,8 +107,8 @@ def calibration(design: str, size: tuple[int, int]) -> tuple[Calibration, PupilC
     filters = {part.filter.name: np.asarray(part.filter.transmission, float) for part in film.parts}
     made = Calibration(
         design=design,
-        sensor=CameraSensor(*size, pitch, full_well_electrons=FULL_WELL, read_noise_electrons=READ_NOISE),
-        lens=Lens(FOCAL_MM, centered_pinhole(lens.focal_px, size), f_number=2.0),
+        sensor=CameraSensor(*size, pitch, 0.0, 65535.0, full_well_electrons=FULL_WELL, read_noise_electrons=READ_NOISE),
+        lens=Lens(FOCAL_MM, centered_pinhole(lens.focal_px, size), np.zeros(5), f_number=2.0),
         film=Film(filters, np.ones(3), np.asarray(channel_transmission(film), float)),
         depth=dict.fromkeys(QUALITIES, DepthField.constant(curve)),
         near_mm=1100.0, far_mm=4200.0, blur=blur,

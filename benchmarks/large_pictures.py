@@ -87,7 +87,7 @@ def calibration(size: tuple[int, int]) -> Calibration:
     return Calibration(
         design=DESIGN,
         sensor=CameraSensor(*size, camera.pixel_pitch_mm, 0.0, 65535.0, FULL_WELL * wells, READ_NOISE * wells**0.5),
-        lens=Lens(50.0, centered_pinhole(camera.focal_px, size), f_number=2.0),
+        lens=Lens(50.0, centered_pinhole(camera.focal_px, size), np.zeros(5), f_number=2.0),
         film=Film(filters, np.ones(3), np.asarray(white, float)),
         depth=dict.fromkeys(("paper", "real-time", "accurate"), curve),
         near_mm=NEAR_MM,

@@ -14,7 +14,7 @@ import pytest
 
 import chromaperture as cap
 from chromaperture.frame import frame_files
-from chromaperture.products import archive_cluster, archive_store
+from chromaperture.products import archive, archive_store
 from chromaperture.system import cluster
 from chromaperture.system.errors import InputError
 from clusters import LocalCluster, sleep_or_die
@@ -31,7 +31,7 @@ def photographs(folder, count):
 
 
 def recipe(**options):
-    return archive_cluster.recipe_for(CAMERA, cap.load_camera(CAMERA), write=WRITE, **options)
+    return archive.recipe_for(CAMERA, cap.load_camera(CAMERA), write=WRITE, **options)
 
 
 def results(folder):
@@ -52,7 +52,7 @@ def alone(images, folder):
 
 
 def ended(image, made):
-    outcome = archive_cluster.measure_photograph(str(image), made)
+    outcome = archive.measure_photograph(str(image), made)
     assert outcome.error == ""
     return "kept" if outcome.kept else "measured"
 
@@ -89,7 +89,7 @@ def test_nothing_is_lost_with_a_worker_or_with_the_scheduler(tmp_path):
     started, seen, at_kill = LocalCluster(tmp_path), [], []
     try:
         with pytest.raises(InputError, match="the cluster was lost"):
-            for outcome in archive_cluster.measure_on_cluster(images, made, started.address):
+            for outcome in archive.measure_on_cluster(images, made, started.address):
                 seen.append(outcome)
                 if len(seen) == 1:
                     at_kill = [worker for worker in started.workers if worker.poll() is None]
@@ -106,7 +106,7 @@ def test_nothing_is_lost_with_a_worker_or_with_the_scheduler(tmp_path):
     before = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "out").glob("*.json")}
     started = LocalCluster(tmp_path)
     try:
-        again = list(archive_cluster.measure_on_cluster(images, made, started.address))
+        again = list(archive.measure_on_cluster(images, made, started.address))
     finally:
         started.close()
     assert {f"{archive_store.stem_of(o.image)}.json" for o in again if o.kept} == complete
@@ -129,11 +129,11 @@ def test_a_worker_with_another_version_is_refused_at_the_start_and_when_it_joins
     try:
         started.add_worker(PYTHONPATH=path)
         with pytest.raises(InputError, match=r"has chromaperture 99\.0: install"):
-            next(archive_cluster.measure_on_cluster(["a.png"], recipe(), started.address))
+            next(archive.measure_on_cluster(["a.png"], recipe(), started.address))
     finally:
         started.close()
     other = dataclasses.replace(recipe(), made_from=(("version", "98.0"),))  # as that worker sees this run
-    joined = archive_cluster.measure_photograph("a.png", other)
+    joined = archive.measure_photograph("a.png", other)
     with pytest.raises(InputError, match="all workers"):
         cluster.check_version("tcp://10.0.0.2:1", "99.0")
     assert joined.error
@@ -199,7 +199,7 @@ def test_what_is_complete_is_measured_again_only_when_its_input_changed(tmp_path
     with open(image, "ab") as file:
         file.write(b"\0")  # another file with the same pixels
     assert ended(image, made) == "measured"
-    other = archive_cluster.recipe_for(shutil.copy(cap.sample_camera("still_life_cy_open"), tmp_path),
+    other = archive.recipe_for(shutil.copy(cap.sample_camera("still_life_cy_open"), tmp_path),
                                        cap.load_camera(CAMERA), write=WRITE, out=str(out))  # fmt: skip
     assert ended(image, other) == "measured"
 
@@ -215,7 +215,7 @@ def test_results_of_two_settings_are_never_taken_for_complete(tmp_path, monkeypa
             raise OSError(28, "No space left on device")
 
         failing.setattr(frame_files, "write_float_tiff", full)
-        outcome = archive_cluster.measure_photograph(str(image), recipe(out=str(tmp_path / "out"), black_level=1.0))
+        outcome = archive.measure_photograph(str(image), recipe(out=str(tmp_path / "out"), black_level=1.0))
     assert "disk is full" in outcome.error
     assert not (tmp_path / "out" / "p0.json").exists()
     assert ended(image, made) == "measured"
@@ -229,9 +229,9 @@ def test_a_warning_comes_back_with_the_outcome(tmp_path):
     exif = Image.Exif()
     exif[0x0112] = 6
     Image.new("RGB", (720, 480), (90, 120, 60)).save(picture, subsampling=0, exif=exif)
-    outcome = archive_cluster.measure_photograph(str(picture), recipe(out=str(tmp_path / "out")))
+    outcome = archive.measure_photograph(str(picture), recipe(out=str(tmp_path / "out")))
     assert any("portrait orientation" in text for text in outcome.warnings)
-    assert archive_cluster.measure_photograph(str(image), recipe(out=str(tmp_path / "out"))).warnings == ()
+    assert archive.measure_photograph(str(image), recipe(out=str(tmp_path / "out"))).warnings == ()
 
 
 # ---- stores behind a URL
@@ -282,13 +282,13 @@ def test_a_store_that_fails_is_tried_again_and_one_that_refuses_is_not(monkeypat
     def unreachable(self, *arguments, **options):
         raise ConnectionResetError("connection reset by peer")
 
-    missing = archive_cluster.measure_photograph("memory://nothing/p0.png", recipe())
+    missing = archive.measure_photograph("memory://nothing/p0.png", recipe())
     assert "cannot read memory://nothing/p0.png" in missing.error
-    unknown = archive_cluster.measure_photograph("nonsense://a/p0.png", recipe())
+    unknown = archive.measure_photograph("nonsense://a/p0.png", recipe())
     assert "nonsense" in unknown.error
     monkeypatch.setattr(MemoryFileSystem, "get_file", unreachable)
     with pytest.raises(archive_store.StoreError, match="connection reset"):  # Dask runs what raises again
-        archive_cluster.measure_photograph("memory://nothing/p0.png", recipe())
+        archive.measure_photograph("memory://nothing/p0.png", recipe())
 
 
 # ---- names

@@ -13,8 +13,8 @@ import pytest
 
 import chromaperture as cap
 from chromaperture.cli import console
-from chromaperture.products import batch
-from chromaperture.products.archive_cluster import recipe_for
+from chromaperture.products import archive as batch
+from chromaperture.products.archive import recipe_for
 
 SAMPLE = "still_life_cy_halves"
 CAMERA = cap.sample_camera(SAMPLE)

@@ -15,8 +15,7 @@ from scipy.stats import norm
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.pointcloud import PointCloud, write_ply
 from chromaperture.evaluation.compare import camera_page, compare_cameras, compare_depth, depth_page
-from chromaperture.files.map_data import every
-from chromaperture.files.map_page import Page, Panel, render
+from chromaperture.files.map_page import Page, Panel, every, render
 from chromaperture.files.pictures import write_color_png, write_depth_png, write_float_tiff
 from chromaperture.products.result_files import StoredDepth, read_depth, read_ply, read_result
 from chromaperture.products.samples import sample_camera

@@ -18,10 +18,8 @@ import pytest
 from PIL import Image
 
 import chromaperture as cap
-from chromaperture.files.depth_glb import glb_bytes
-from chromaperture.files.depth_photo import dynamic_depth_jpeg, encode_depth, gdepth_jpeg
-from chromaperture.files.jpeg_xmp import with_xmp
-from chromaperture.files.textured_mesh import textured_mesh
+from chromaperture.files.depth_photo import dynamic_depth_jpeg, encode_depth, gdepth_jpeg, with_xmp
+from chromaperture.files.textured_mesh import glb_bytes, textured_mesh
 from chromaperture.products.posed_sequence import read_trajectory, write_posed
 from chromaperture.products.rectified import View
 from chromaperture.system.errors import InputError
@@ -283,7 +281,7 @@ def test_blender_sees_the_photograph_through_its_camera(tmp_path, name):
 def test_usdz_is_a_package_with_camera_and_texture(tmp_path, rng):
     from pxr import Usd, UsdGeom, UsdShade
 
-    from chromaperture.files.depth_usdz import write_usdz
+    from chromaperture.files.textured_mesh import write_usdz
 
     mesh = surface(rng)
     write_usdz(tmp_path / "a.usdz", mesh)

@@ -24,7 +24,7 @@ from chromaperture.capture import threaded_source
 from chromaperture.capture.recording import Recorder, ReplaySource
 from chromaperture.capture.source import Event, FileSource, Frame
 from chromaperture.capture.threaded_source import LiveSource, StreamEndedError
-from chromaperture.cli import streams
+from chromaperture.cli import setup
 from chromaperture.color.encoding import Encoding
 from chromaperture.products.samples import sample_camera
 from chromaperture.reconstruction.fusion import Submap
@@ -229,7 +229,7 @@ def silent(*args: object, **options: object) -> LiveSource:
 
 
 def test_live_ends_at_its_time_although_the_camera_gives_nothing(tmp_path, run, monkeypatch):
-    monkeypatch.setattr(streams, "open_source", silent)
+    monkeypatch.setattr(setup, "open_source", silent)
     options = ("--camera", SAMPLE, "--out", tmp_path, "--no-page", "--no-model", "--quiet")
     result = run("live", "webcam:0", *options, "--seconds", 0.5, "--watchdog-seconds", 0.1)
     assert result.returncode == 0
@@ -237,7 +237,7 @@ def test_live_ends_at_its_time_although_the_camera_gives_nothing(tmp_path, run, 
 
 
 def test_record_ends_at_its_time_although_the_camera_gives_nothing(tmp_path, run, monkeypatch):
-    monkeypatch.setattr(streams, "open_source", silent)
+    monkeypatch.setattr(setup, "open_source", silent)
     result = run("record", "webcam:0", "--out", tmp_path / "take", "--seconds", 0.5, "--quiet")
     assert result.returncode == 0
     with ReplaySource(str(tmp_path / "take")) as replay:
@@ -249,7 +249,7 @@ def test_a_camera_that_hangs_when_it_is_opened_is_named(tmp_path, run, monkeypat
         time.sleep(1.0)
         raise InputError("nobody answers")
 
-    monkeypatch.setattr(streams, "open_source", lambda *args, **options: LiveSource("slow", slow))
+    monkeypatch.setattr(setup, "open_source", lambda *args, **options: LiveSource("slow", slow))
     options = ("--camera", SAMPLE, "--out", tmp_path, "--no-page", "--no-model", "--watchdog-seconds", 0.1)
     result = run("live", "webcam:0", *options)
     assert result.returncode == 2

@@ -14,7 +14,7 @@ import chromaperture as cap
 from apps import chromium
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.depth.pointcloud import PointCloud
-from chromaperture.frame.points_view import points_view
+from chromaperture.frame.notebook import points_view
 from chromaperture.model.camera_file import Calibration
 
 SAMPLE = "still_life_cy_halves"

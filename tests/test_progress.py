@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import io
 import json
 import re
@@ -27,9 +26,8 @@ PATIENCE_S = 30.0  # for a line that comes after a hundredth of a second on a ma
 @pytest.fixture
 def soon(monkeypatch):
     """Commands print their lines after a hundredth of a second."""
-    quick = functools.partial(console.progress, line_every_s=0.01)
-    monkeypatch.setattr(console, "progress", quick)
-    return quick
+    monkeypatch.setattr(console, "LINE_EVERY_S", 0.01)
+    return console.progress
 
 
 class Watched:
@@ -84,9 +82,10 @@ def test_a_state_that_lasts_is_said_again(soon, monkeypatch):
             time.sleep(0.005)
 
 
-def test_lines_are_rate_limited(capfd):
+def test_lines_are_rate_limited(capfd, monkeypatch):
     """A thousand states within one interval are one line at the most; a command shorter than that has none."""
-    with console.progress(quiet=False, line_every_s=3600.0) as update:
+    monkeypatch.setattr(console, "LINE_EVERY_S", 3600.0)
+    with console.progress(quiet=False) as update:
         for frame in range(1000):
             update(f"frame {frame}", frame, 0)
     assert capfd.readouterr() == ("", "")
@@ -153,7 +152,7 @@ def test_simulate_counts_its_photographs_on_standard_error(soon, tmp_path, monke
         def __exit__(self, *error):
             return None
 
-    monkeypatch.setattr(console, "progress", lambda quiet: Counting())
+    monkeypatch.setattr("chromaperture.cli.simulate.progress", lambda quiet: Counting())
     command = ["simulate", tmp_path / "s", "--thin", "--cells", "4", "--width", "60", "--height", "40"]
     monkeypatch.setattr(sys, "argv", ["chromaperture", *map(str, command), "--step-mm", "1500", "--tilts", "1"])
     main_ended(main)

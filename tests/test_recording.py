@@ -22,9 +22,9 @@ from chromaperture.capture.recording import Recorder
 from chromaperture.capture.source import Frame
 from chromaperture.color.encoding import Encoding
 from chromaperture.products.mcap import write_mcap
+from chromaperture.products.posed_sequence import write_tum
 from chromaperture.products.rectified import View
 from chromaperture.products.samples import sample_camera, sample_image
-from chromaperture.products.tum import write_tum
 from chromaperture.system.errors import CaptureWarning, InputError
 
 SHIFTED = Encoding(64, 1023, "linear", ((-0.25, -0.25), (0.0, 0.0), (0.25, 0.25)))

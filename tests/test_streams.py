@@ -12,9 +12,9 @@ import time
 import numpy as np
 import pytest
 
-from chromaperture.products.foxglove_stream import FoxgloveStream, address, encoded_depth
+from chromaperture.products.foxglove_stream import FoxgloveStream, address
 from chromaperture.products.mcap import write_mcap
-from chromaperture.products.rectified import View
+from chromaperture.products.rectified import View, encoded_depth
 from chromaperture.products.samples import sample_camera, sample_image
 from chromaperture.system.errors import InputError
 

@@ -125,8 +125,8 @@ def halves_camera(depth, width_px, height_px, /, *, focal_px=1000.0, pixel_pitch
     field = depth if isinstance(depth, DepthField) else DepthField.constant(depth)
     camera = Calibration(
         design="cy_halves",
-        sensor=CameraSensor(width_px, height_px, pixel_pitch_mm),
-        lens=Lens(50.0, centered_pinhole(focal_px, (width_px, height_px)), f_number=2.0),
+        sensor=CameraSensor(width_px, height_px, pixel_pitch_mm, 0.0, 65535.0),
+        lens=Lens(50.0, centered_pinhole(focal_px, (width_px, height_px)), np.zeros(5), f_number=2.0),
         film=Film(ideal_film("cy_halves"), np.ones(3), np.ones(3)),
         depth=dict.fromkeys(("paper", "real-time", "accurate"), field),
         near_mm=900.0,

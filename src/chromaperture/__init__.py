@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from chromaperture.optics.kernel_blur import blur_from_kernels
     from chromaperture.products.mcap import write_mcap
     from chromaperture.products.measure_file import measure_file
+    from chromaperture.products.posed_sequence import write_tum
     from chromaperture.products.rectified import undistorter
     from chromaperture.products.samples import open_sample, sample_camera, sample_image, samples
-    from chromaperture.products.tum import write_tum
     from chromaperture.settings.methods import (
         AccurateConfig,
         Config,
@@ -62,9 +62,9 @@ _MODULES = {
     "optics.kernel_blur": "blur_from_kernels",
     "products.mcap": "write_mcap",
     "products.measure_file": "measure_file",
+    "products.posed_sequence": "write_tum",
     "products.rectified": "undistorter",
     "products.samples": "open_sample sample_camera sample_image samples",
-    "products.tum": "write_tum",
     "files.pictures": "write_color_png write_depth_png write_float_tiff",
     "tasks": "all_in_focus calibrate refocus",
 }

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 # What atheris counts the branches of. Not the kernels: Numba cannot compile what it changes.
 INSTRUMENTED = ["chromaperture." + module for module in (
-    "validation", "asdf_input", "camera_tree", "camera_file", "config_file", "capture.files", "capture.tiff",
+    "validation", "asdf_input", "camera_parts", "camera_file", "config_file", "capture.files", "capture.tiff",
     "capture.picture_header", "capture.recording", "calibration.session",
     "depth.field_file", "optics.svg", "optics.aperture_file", "optics.prescription", "products.result_files",
     "products.posed_sequence",

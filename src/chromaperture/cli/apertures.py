@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.checks import check_output
-from chromaperture.cli.options import Film, FocusMm, Json, Lens, Quiet, SensorWidthMm, Width
+from chromaperture.cli.console import out as console
+from chromaperture.cli.console import print_json, table
+from chromaperture.cli.options import Film, FocusMm, Json, Lens, Quiet, SensorWidthMm, Width, check_output
 from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
@@ -39,7 +40,6 @@ def apertures(
 
     Example: chromaperture apertures cy_halves --template cy.pdf --pupil-mm 17.1
     """
-    from chromaperture.cli.console import print_json
     from chromaperture.optics.aperture import DESIGNS, made_of
     from chromaperture.optics.pinhole import focused_at, pupil_camera
     from chromaperture.optics.prescription import load_lens
@@ -111,8 +111,6 @@ def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list
 
 
 def _print_table(rows: list[dict[str, Any]], camera: PupilCamera) -> None:
-    from chromaperture.cli.console import out as console
-    from chromaperture.cli.console import table
 
     lens = (
         f"image distance {camera.image_distance_mm:.1f} mm, pupil {2 * camera.pupil_radius_mm:.1f} mm, "

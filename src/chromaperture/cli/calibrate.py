@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from chromaperture.cli.checks import check_output
-from chromaperture.cli.options import Json, Quiet
+from chromaperture.cli.console import after_compilation, print_files, print_json, progress, say_warning, table
+from chromaperture.cli.console import out as console
+from chromaperture.cli.options import Json, Quiet, check_output
 
 if TYPE_CHECKING:
     from chromaperture.calibration.calibrate_session import CalibrationResult
@@ -52,7 +53,6 @@ def calibrate(
     """
     from chromaperture.calibration.calibrate_session import calibrate_session
     from chromaperture.calibration.options import CalibrationConfig
-    from chromaperture.cli.console import after_compilation, print_files, print_json, progress, say_warning
     from chromaperture.evaluation.verdict import unusable, with_accurate_noise
     from chromaperture.model.camera_file import Calibration
     from chromaperture.system.storage import staged
@@ -100,7 +100,6 @@ def calibrate(
 def _print_result(result: CalibrationResult, faults: list[str]) -> None:
     import numpy as np
 
-    from chromaperture.cli.console import out, table
     from chromaperture.evaluation.verdict import QUALITY, board_errors, sentences
 
     def number(value: float, form: str) -> str:
@@ -118,15 +117,15 @@ def _print_result(result: CalibrationResult, faults: list[str]) -> None:
             number(frame[i], "+.1f"),
             number(100 * frame[i] / board.ruler_mm, "+.2f"),
         )
-    out.print(boards)
+    console.print(boards)
     cal = result.camera
-    out.print(
+    console.print(
         f"focal length {cal.lens.focal_length_mm:.2f} mm, in focus at {cal.in_focus_text}, "
         f"baseline {cal.baseline_mm:.2f} mm, rms {result.fits[QUALITY].rms_mm:.1f} mm in the middle of the frame"
     )
     for note in result.notes:
-        out.print(f"note: {note}", markup=False)
+        console.print(f"note: {note}", markup=False)
     for sentence in sentences(result):
-        out.print(sentence.text, style={"good": "green", "weak": "yellow"}.get(sentence.tone, ""), markup=False)
+        console.print(sentence.text, style={"good": "green", "weak": "yellow"}.get(sentence.tone, ""), markup=False)
     if faults:
-        out.print(f"This calibration cannot be used: {'; '.join(faults)}.", style="bold red", markup=False)
+        console.print(f"This calibration cannot be used: {'; '.join(faults)}.", style="bold red", markup=False)

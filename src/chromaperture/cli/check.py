@@ -7,7 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.markup import escape
 
+from chromaperture.cli.console import out as console
+from chromaperture.cli.console import print_json, table
 from chromaperture.cli.options import (
     BlackLevel,
     Camera,
@@ -117,11 +120,6 @@ def _tell(
 ) -> None:
     """Print what was found, and end with the exit code."""
     from dataclasses import asdict
-
-    from rich.markup import escape
-
-    from chromaperture.cli.console import out as console
-    from chromaperture.cli.console import print_json, table
 
     if json:
         print_json(

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.checks import check_output
-from chromaperture.cli.options import Json, Quality, Quiet
+from chromaperture.cli.console import out as console
+from chromaperture.cli.console import print_json
+from chromaperture.cli.options import Json, Quality, Quiet, check_output
 from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,8 +32,6 @@ def compare(
 
     chromaperture compare before.asdf after.asdf --json
     """
-    from chromaperture.cli.console import out as console
-    from chromaperture.cli.console import print_json
     from chromaperture.files.map_page import render
     from chromaperture.system.storage import staged
 

@@ -79,11 +79,11 @@ def show_warning(
 
 
 @contextlib.contextmanager
-def progress(*, quiet: bool, line_every_s: float = LINE_EVERY_S) -> Iterator[Update]:
+def progress(*, quiet: bool) -> Iterator[Update]:
     """Show how far a command is, on standard error; yields ``update(what, done, total)``.
 
-    On a terminal it is a bar with the remaining time; elsewhere a line as often as ``line_every_s`` while there is
-    something new, less often where there is nothing, and none for what takes no longer than that.
+    On a terminal it is a bar with the remaining time; elsewhere a line every `LINE_EVERY_S` while there is something
+    new, less often where there is nothing, and none for what takes no longer than that.
     """
     if quiet:
         yield lambda what, done, total: None
@@ -91,7 +91,7 @@ def progress(*, quiet: bool, line_every_s: float = LINE_EVERY_S) -> Iterator[Upd
         with _bar() as update:
             yield update
     else:
-        with _lines(line_every_s) as update:
+        with _lines(LINE_EVERY_S) as update:
             yield update
 
 

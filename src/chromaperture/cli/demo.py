@@ -7,7 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.markup import escape
 
+from chromaperture.cli.console import announce_duration, compile_kernels, print_json, print_reports, progress
+from chromaperture.cli.console import out as console
 from chromaperture.cli.options import Json, Quiet
 
 if TYPE_CHECKING:
@@ -29,11 +32,7 @@ def demo(
     quiet: Quiet = False,
 ) -> None:
     """Measure the captures that come with the package and write their depth maps."""
-    from rich.markup import escape
-
     from chromaperture.camera.camera import load_camera
-    from chromaperture.cli.console import announce_duration, compile_kernels, print_json, print_reports, progress
-    from chromaperture.cli.console import out as console
     from chromaperture.frame.preview import middle_range
     from chromaperture.products.measure_file import measure_file
     from chromaperture.products.samples import SAMPLES, sample_camera, sample_image

@@ -1,17 +1,21 @@
-"""``chromaperture depth``."""
+"""``chromaperture depth``: photographs one after the other, several at a time, or on a cluster."""
 
 from __future__ import annotations
 
+import contextlib
+import json as json_text
+import time
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from chromaperture.cli.checks import check_film
+from chromaperture.cli.console import announce_duration, compile_kernels, print_json, print_reports, progress, say_error
+from chromaperture.cli.console import out as console
 from chromaperture.cli.options import (
     Anyway,
     BlackLevel,
@@ -28,15 +32,21 @@ from chromaperture.cli.options import (
     Quiet,
     Scale,
     WhiteLevel,
+    check_film,
     working_scale,
 )
 from chromaperture.cli.options import crop_origin as crop_from
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
-from chromaperture.system.errors import CaptureWarning, InputError
+from chromaperture.system.errors import CaptureWarning, ChromapertureError, InputError
 
 if TYPE_CHECKING:
     from chromaperture.camera.camera import CodedApertureCamera
-    from chromaperture.products.archive_cluster import Recipe
+    from chromaperture.products.archive import Recipe
+    from chromaperture.products.measure_file import Written
+
+MOST_COLUMNS = 6  # photographs in a table of results; more are counted. Six fit a line of 160 letters
+
+CameraOf = Callable[[Path], "CodedApertureCamera"]
 
 
 def depth(
@@ -120,8 +130,8 @@ def depth(
     stated = StatedFacts(*cast(Any, (siting, primaries, mosaic)))
     if len(names) == 1 and cluster is None:  # what cannot be read is refused before anything else is loaded
         format_of(as_path(names[0]), stated)
-    from chromaperture.cli.console import compile_kernels
     from chromaperture.frame.frame_files import chosen_outputs
+    from chromaperture.products.archive import recipe_for
 
     refuse_common_results(names, out)
     chosen_outputs(write, is_calibrated=camera is not None)  # before the work
@@ -136,9 +146,7 @@ def depth(
         "max_relative_sigma": max_relative_sigma, "inspect": partial(check_film, refuse=not anyway),
     }  # fmt: skip
     if cluster is not None:
-        from chromaperture.cli.depth_batch import measure_archive
         from chromaperture.cli.setup import camera_for
-        from chromaperture.products.archive_cluster import recipe_for
 
         if camera is None or design is not None:
             raise InputError("--cluster measures depth: give the camera file with --camera, and no --design")
@@ -146,14 +154,10 @@ def depth(
         recipe = recipe_for(camera, opened, out=out, again=again, **options)
         measure_archive(names, recipe, cluster, left_out=left_out, json=json, quiet=quiet)
         return
-    from chromaperture.cli.depth_batch import measure_batch
-
     paths = [as_path(name) for name in names]
     camera_of = cameras(paths[0], camera, design, **settings)
     made_by: Recipe | None = None
     if camera is not None:
-        from chromaperture.products.archive_cluster import recipe_for
-
         where = None if out is None else str(as_path(out))
         made_by = recipe_for(camera, camera_of(paths[0]), out=where, again=again, **options)
         if len(paths) == 1:  # measured in any case, and no more is written than what was asked for
@@ -214,9 +218,7 @@ def refuse_common_results(names: Sequence[str], out: str | None) -> None:
             raise InputError(f"a result of {name} would replace the photograph {replaced}; choose another --out folder")
 
 
-def cameras(
-    first: Path, camera: Path | None, design: str | None, **settings: Any
-) -> Callable[[Path], CodedApertureCamera]:
+def cameras(first: Path, camera: Path | None, design: str | None, **settings: Any) -> CameraOf:
     """Return the function from an image to its camera: the file's, read once, or one for each size for a design.
 
     ``settings`` are those of `camera_for`.
@@ -237,3 +239,199 @@ def cameras(
         return of_sizes[size]
 
     return of_size
+
+
+@dataclass
+class Batch:
+    """What became of the photographs so far."""
+
+    reports: list[Written] = field(default_factory=list)  # of all that are complete
+    kept: list[str] = field(default_factory=list)
+    failed: list[tuple[str, str]] = field(default_factory=list)  # photograph and error
+    measured: int = 0
+
+    @property
+    def stage(self) -> str:
+        """What the progress says is being done."""
+        return f"photographs ({len(self.failed)} failed)" if self.failed else "photographs"
+
+    @property
+    def counts(self) -> str:
+        """How many were measured, kept, and failed."""
+        return f"{self.measured} measured, {len(self.kept)} complete before, {len(self.failed)} failed"
+
+    def exit_if_failed(self) -> None:
+        """End with 1 where some could not be measured, with 2 where none could."""
+        if self.failed:
+            raise typer.Exit(1 if self.measured or self.kept else 2)
+
+
+def measure_batch(
+    images: Sequence[Path],
+    camera_of: CameraOf,
+    *,
+    recipe: Recipe | None,
+    jobs: int,
+    json: bool,
+    quiet: bool,
+    note: str,
+    left_out: Mapping[Path, str],
+    **options: Any,
+) -> None:
+    """Measure photographs here, report them, and end with an exit code where some could not be measured.
+
+    ``recipe`` is there for a camera that was calibrated: results that it made before are kept. ``left_out`` are files
+    that are no photographs, see `one_of_each`.
+    """
+    batch, began = Batch(), time.monotonic()
+    with contextlib.suppress(ChromapertureError):  # a photograph without a size, where the camera is made for its size
+        announce_duration(camera_of(images[0]), len(images), quiet=quiet)
+    with progress(quiet=quiet) as update:
+        if jobs > 1 and len(images) > 1 and recipe is not None:
+            states = _in_processes(images, recipe, jobs, batch)
+        else:
+            states = _here(images, camera_of, recipe, batch, update, options)
+        for done in states:
+            update(batch.stage, done, len(images))
+    seconds = time.monotonic() - began
+    if json:
+        reports = [report.summary | {"files": [str(path) for path in report.files]} for report in batch.reports]
+        print_json(reports + [{"image": path.name, "left_out": reason} for path, reason in left_out.items()])
+    elif not quiet:
+        _print(batch, len(images), seconds, note)
+        print_left_out(left_out)
+    if batch.failed and len(images) > 1:
+        names = ", ".join(Path(image).name for image, _ in batch.failed)
+        say_error(f"{len(batch.failed)} of {len(images)} photographs could not be measured: {names}")
+    batch.exit_if_failed()
+
+
+def print_left_out(left_out: Mapping[Path, str]) -> None:
+    """Say which files of folders were not measured; nothing where all were."""
+    from chromaperture.capture.shots import counted
+
+    if left_out:
+        console.print(f"Left out: {counted(left_out)}", soft_wrap=True, markup=False, highlight=False)
+
+
+def _here(
+    images: Sequence[Path],
+    camera_of: CameraOf,
+    recipe: Recipe | None,
+    batch: Batch,
+    update: Callable[[str, int, int], None],
+    options: dict[str, Any],
+) -> Iterator[int]:
+    """Measure one photograph after the other; yields how many are done."""
+    from chromaperture.products.archive import Failure, Kept, RecipeOrigin, measure_files
+
+    def show(stage: str, i: int) -> None:
+        update(f"{images[i].name}: {stage}", i, len(images))
+
+    if recipe is not None:
+        options = options | {"origin": RecipeOrigin(recipe), "write": recipe.outputs}
+    for done, result in enumerate(measure_files(images, camera_of, listener=show, **options), 1):
+        if isinstance(result, Failure):
+            batch.failed.append((result.image, str(result.error)))
+            say_error(result.error)
+        elif isinstance(result, Kept):
+            batch.kept.append(result.image)
+            assert recipe is not None
+            batch.reports.append(_read(result.image, recipe))
+        else:
+            batch.reports.append(result)
+            batch.measured += 1
+        yield done
+
+
+def _in_processes(images: Sequence[Path], recipe: Recipe, jobs: int, batch: Batch) -> Iterator[int]:
+    """Measure several photographs at a time; yields how many are done."""
+    from chromaperture.products.archive import measure_in_processes
+    from chromaperture.products.archive_store import absolute
+
+    yield 0
+    reports: dict[str, Written] = {}
+    names = [absolute(str(image)) for image in images]
+    for done, outcome in enumerate(measure_in_processes(names, recipe, jobs=jobs), 1):
+        for text in outcome.warnings:
+            warnings.warn(text, CaptureWarning, stacklevel=2)
+        if outcome.error:
+            batch.failed.append((outcome.image, outcome.error))
+            name = Path(outcome.image).name
+            say_error(outcome.error if name in outcome.error else f"{name}: {outcome.error}")
+        else:
+            reports[outcome.image] = _read(outcome.image, recipe)
+            if outcome.kept:
+                batch.kept.append(outcome.image)
+            else:
+                batch.measured += 1
+        yield done
+    batch.reports += [reports[name] for name in names if name in reports]
+    batch.kept.sort(key=names.index)  # processes end in any order
+    batch.failed.sort(key=lambda failed: names.index(failed[0]))
+
+
+def _read(image: str, recipe: Recipe) -> Written:
+    """Read the summary of results that are complete."""
+    from chromaperture.frame.frame_files import OUTPUTS
+    from chromaperture.products.measure_file import Written
+
+    path = Path(image)
+    folder = path.parent if recipe.out is None else Path(recipe.out)
+    files = [folder / (path.stem + OUTPUTS[name].suffix) for name in recipe.outputs]
+    return Written(json_text.loads((folder / (path.stem + OUTPUTS["json"].suffix)).read_bytes()), files)
+
+
+def _print(batch: Batch, count: int, seconds: float, note: str) -> None:
+    if count <= MOST_COLUMNS:
+        if batch.reports:
+            print_reports(batch.reports, note=note)
+    else:
+        console.print(f"{count} photographs in {seconds:.0f} s: {batch.counts}")
+        folders = {file.parent for report in batch.reports for file in report.files}
+        for folder in sorted(folders):
+            console.print(f"Wrote to {folder}", soft_wrap=True, markup=False, highlight=False)
+    if batch.kept:
+        names = ", ".join(Path(image).name for image in batch.kept)
+        said = names if len(batch.kept) <= MOST_COLUMNS else f"{len(batch.kept)} photographs"
+        console.print(
+            f"Complete before, not measured again: {said} (--again measures them)", soft_wrap=True, markup=False
+        )
+
+
+def measure_archive(
+    images: Sequence[str], recipe: Recipe, address: str, *, left_out: Mapping[Path, str], json: bool, quiet: bool
+) -> None:
+    """Measure photographs on a cluster, print each failure as it happens and a summary; ends as `measure_batch`.
+
+    Raises InputError: see `measure_on_cluster`; what is complete is kept.
+    """
+    from chromaperture.products.archive import measure_on_cluster
+
+    batch, began = Batch(), time.monotonic()
+    try:
+        with progress(quiet=quiet) as update:
+            update("waiting for the cluster", 0, len(images))
+            for done, outcome in enumerate(measure_on_cluster(images, recipe, address), 1):
+                for text in outcome.warnings:
+                    warnings.warn(text, CaptureWarning, stacklevel=2)
+                if outcome.error:
+                    batch.failed.append((outcome.image, outcome.error))
+                    say_error(f"{outcome.image}: {outcome.error}")
+                elif outcome.kept:
+                    batch.kept.append(outcome.image)
+                else:
+                    batch.measured += 1
+                update(batch.stage, done, len(images))
+    except InputError as error:
+        raise InputError(f"{error} ({batch.counts}, of {len(images)})") from None
+    seconds = time.monotonic() - began
+    if json:
+        failures = [{"image": image, "error": error} for image, error in batch.failed]
+        others = [{"image": path.name, "left_out": reason} for path, reason in left_out.items()]
+        counts = {"measured": batch.measured, "kept": len(batch.kept), "failed": failures, "left_out": others}
+        print_json(counts | {"seconds": round(seconds, 1)})
+    elif not quiet:
+        console.print(f"{len(images)} photographs in {seconds:.0f} s: {batch.counts}")
+        print_left_out(left_out)
+    batch.exit_if_failed()

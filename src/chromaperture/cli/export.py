@@ -9,8 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.checks import check_film
-from chromaperture.cli.options import Anyway, BlackLevel, Camera, Device, MaxRelativeSigma, Quality, Quiet, WhiteLevel
+from chromaperture.cli.console import compile_kernels, progress, say_warning
+from chromaperture.cli.options import (
+    Anyway,
+    BlackLevel,
+    Camera,
+    Device,
+    MaxRelativeSigma,
+    Quality,
+    Quiet,
+    WhiteLevel,
+    check_film,
+)
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.system.errors import InputError
 
@@ -56,9 +66,7 @@ def export(
 
     chromaperture export replay:session/walk walk --camera camera.asdf --format nerfstudio
     """
-    from chromaperture.cli.console import compile_kernels, progress, say_warning
-    from chromaperture.cli.setup import camera_for
-    from chromaperture.cli.streams import open_stream
+    from chromaperture.cli.setup import camera_for, open_stream
     from chromaperture.products.rectified import of_stream, undistorter
 
     chosen = format or ("mcap" if out.suffix == ".mcap" else "tum")
@@ -105,7 +113,7 @@ def _writer(
 ) -> tuple[Callable[..., int], Callable[[View], None]]:
     """Return the function that writes a format, and what sees every view before; missing extras are said here."""
     if chosen == "tum":
-        from chromaperture.products.tum import write_tum
+        from chromaperture.products.posed_sequence import write_tum
 
         return write_tum, lambda view: None
     if chosen == "mcap":
@@ -119,7 +127,6 @@ def _writer(
         return partial(write_posed, form=form), lambda view: None
     if trajectory is not None:
         return partial(write_posed, form=form, poses=read_trajectory(trajectory)), lambda view: None
-    from chromaperture.cli.console import say_warning
     from chromaperture.reconstruction.build_model import Tracker
 
     tracker = Tracker(matrix, listener=say_warning)

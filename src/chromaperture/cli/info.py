@@ -6,7 +6,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.markup import escape
 
+from chromaperture.cli.console import out as console
+from chromaperture.cli.console import print_json, table
 from chromaperture.cli.options import Json, Quiet
 from chromaperture.system.errors import InputError
 
@@ -32,9 +35,6 @@ def info(
         return
     if camera is None:
         raise InputError("give a camera file, or --devices")
-    from rich.markup import escape
-
-    from chromaperture.cli.console import out, print_json, table
     from chromaperture.model.camera_file import Calibration
 
     summary = Calibration.load(camera).summary()
@@ -46,15 +46,12 @@ def info(
         for name, value in figures.items():
             if name not in _LEFT_OUT and name != "provenance":
                 rows.add_row(name, escape(as_text(value)))
-        out.print(rows)
-        out.print("Boards and hashes of all files: --json", markup=False)
+        console.print(rows)
+        console.print("Boards and hashes of all files: --json", markup=False)
 
 
 def _show_devices(*, json: bool, quiet: bool) -> None:
     """List the CPU and the adapters, and which of them --device auto takes."""
-    from rich.markup import escape
-
-    from chromaperture.cli.console import out, print_json, table
     from chromaperture.matching.device.device import adapters, has_extra
     from chromaperture.matching.device.gpu_method import chosen_device
     from chromaperture.system.threads import thread_count
@@ -73,12 +70,12 @@ def _show_devices(*, json: bool, quiet: bool) -> None:
         kind = "software, for tests" if adapter.is_software else adapter.kind
         driver = f"{adapter.backend}, {adapter.driver}" if adapter.driver else adapter.backend
         rows.add_row(escape(f"gpu:{adapter.name}"), kind, escape(driver), f"{adapter.largest_array_mb} MB")
-    out.print(rows)
+    console.print(rows)
     if not has_extra():
-        out.print("GPUs need the extra: pip install 'chromaperture[gpu]'", markup=False)
+        console.print("GPUs need the extra: pip install 'chromaperture[gpu]'", markup=False)
     elif not found:
-        out.print("No GPU: no driver for Vulkan, Metal or Direct3D 12 was found", markup=False)
-    out.print(f"auto takes {taken}", markup=False)
+        console.print("No GPU: no driver for Vulkan, Metal or Direct3D 12 was found", markup=False)
+    console.print(f"auto takes {taken}", markup=False)
 
 
 def as_text(value: Any) -> str:

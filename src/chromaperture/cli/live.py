@@ -13,6 +13,7 @@ import typer
 
 from chromaperture.app.free_space import RESERVE_BYTES
 from chromaperture.app.live.watchdog import WATCHDOG_S, Watchdog
+from chromaperture.cli.console import compile_kernels, print_json, say_warning
 from chromaperture.cli.options import (
     BlackLevel,
     Camera,
@@ -85,10 +86,8 @@ def live(
     from chromaperture.app.listening import require_extra
     from chromaperture.app.live.loop import FUSE_EVERY, LiveLoop
     from chromaperture.app.live.page import LivePage
-    from chromaperture.cli.checks import film_doubts
-    from chromaperture.cli.console import compile_kernels, print_json, say_warning
-    from chromaperture.cli.setup import camera_for
-    from chromaperture.cli.streams import open_stream
+    from chromaperture.cli.options import film_doubts
+    from chromaperture.cli.setup import camera_for, open_stream
     from chromaperture.reconstruction.settings import ReconstructionConfig
 
     if page:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from chromaperture.cli.checks import film_checked
+from chromaperture.cli.console import compile_kernels, print_files, print_json, progress, say_warning
 from chromaperture.cli.options import (
     Anyway,
     BlackLevel,
@@ -20,6 +20,7 @@ from chromaperture.cli.options import (
     Quiet,
     VoxelMm,
     WhiteLevel,
+    film_checked,
 )
 from chromaperture.system.errors import InputError
 
@@ -49,9 +50,7 @@ def reconstruct(
 
     Example: chromaperture reconstruct replay:session/walk --camera camera.asdf --out model
     """
-    from chromaperture.cli.console import compile_kernels, print_files, print_json, progress, say_warning
-    from chromaperture.cli.setup import camera_for
-    from chromaperture.cli.streams import open_stream
+    from chromaperture.cli.setup import camera_for, open_stream
     from chromaperture.model.camera_file import Calibration
     from chromaperture.reconstruction.build_model import reconstruct as build
     from chromaperture.reconstruction.build_model import write_model

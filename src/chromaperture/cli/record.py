@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from chromaperture.cli.console import print_json, progress
 from chromaperture.cli.options import BlackLevel, Frames, Json, Quiet, Seconds, WhiteLevel
 
 if TYPE_CHECKING:
@@ -38,8 +39,7 @@ def record(
     Example: chromaperture record "webcam:0?exposure_us=5000" --out session/walk
     """
     from chromaperture.capture.recording import Recorder
-    from chromaperture.cli.console import print_json, progress
-    from chromaperture.cli.streams import open_stream
+    from chromaperture.cli.setup import open_stream
     from chromaperture.model.camera_file import Calibration
 
     calibration = None if camera is None else Calibration.load(camera)

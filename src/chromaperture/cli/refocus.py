@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.checks import check_film, check_output
+from chromaperture.cli.console import announce_duration, compile_kernels, print_files, print_json, progress
 from chromaperture.cli.options import (
     Anyway,
     BlackLevel,
@@ -22,6 +22,8 @@ from chromaperture.cli.options import (
     Quality,
     Quiet,
     WhiteLevel,
+    check_film,
+    check_output,
 )
 from chromaperture.system.errors import InputError
 
@@ -84,7 +86,6 @@ def refocus(
     chromaperture refocus photo.png --camera camera.asdf --strength 0      (everything in focus)
     """
     from chromaperture.capture.files import image_size
-    from chromaperture.cli.console import announce_duration, compile_kernels, print_files, print_json, progress
     from chromaperture.cli.setup import camera_for
     from chromaperture.effects.refocusing import Focus
 

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from chromaperture.app.free_space import RESERVE_BYTES
+from chromaperture.cli.console import compile_kernels
 from chromaperture.cli.options import CameraOrDesign, Quiet
 
 PORT = 8733  # of no service that is registered; the same every time, because an installed app keeps its address
@@ -54,7 +55,6 @@ def serve(
     from chromaperture.app.listening import make_server
     from chromaperture.app.server import make_app
     from chromaperture.app.workbench import Workbench
-    from chromaperture.cli.console import compile_kernels
 
     state = state_folder()
     host, names = ("0.0.0.0", own_names()) if lan else ("127.0.0.1", [])

@@ -1,7 +1,8 @@
-"""From command-line options to a camera."""
+"""From command-line options to a camera and to a stream of frames."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -9,6 +10,9 @@ from typing import Any, Literal, cast
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
 from chromaperture.capture.files import image_size
+from chromaperture.capture.open import open_source
+from chromaperture.capture.source import Source
+from chromaperture.cli.console import say_warning
 from chromaperture.color.encoding import NOTHING_STATED, StatedFacts
 from chromaperture.model.camera_file import Calibration
 from chromaperture.settings.methods import Quality
@@ -53,3 +57,24 @@ def with_stated(calibration: Calibration, stated: StatedFacts) -> Calibration:
     known = stated.or_else(calibration.sensor.encoding.stated)
     facts = {"siting": known.siting, "primaries": known.primaries, "mosaic": known.mosaic}
     return replace(calibration, sensor=replace(calibration.sensor, **facts))  # type: ignore[arg-type]
+
+
+def open_stream(
+    source: str,
+    *,
+    calibration: Calibration | None = None,
+    black_level: float | None = None,
+    white_level: float | None = None,
+    say: Callable[[str], None] = say_warning,
+) -> Source:
+    """Create a source whose events are printed as warnings; levels override those of the camera and of the file.
+
+    ``say`` receives the events instead, from the thread of the source.
+    """
+    return open_source(
+        source,
+        listener=lambda event: say(event.message),
+        camera_encoding=None if calibration is None else calibration.sensor.encoding,
+        black_level=black_level,
+        white_level=white_level,
+    )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.checks import check_output
+from chromaperture.cli.console import progress
 from chromaperture.cli.options import (
     BOARDS_PANEL,
     CAMERA_PANEL,
@@ -24,6 +24,7 @@ from chromaperture.cli.options import (
     SensorWidthMm,
     SimulatedDesign,
     Width,
+    check_output,
 )
 from chromaperture.system.errors import InputError
 
@@ -66,7 +67,6 @@ def simulate(
 
     Example: chromaperture simulate session/cy_halves --step-mm 500 --width 360 --height 240
     """
-    from chromaperture.cli.console import progress
     from chromaperture.optics.pinhole import focused_at, pupil_camera
     from chromaperture.optics.prescription import load_lens, with_filter_at
     from chromaperture.optics.ray_table import RayTable, lens_rays, pinhole_rays

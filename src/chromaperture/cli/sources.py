@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from chromaperture.cli.console import print_json
 from chromaperture.cli.options import Json
 
 
@@ -12,7 +13,6 @@ def sources(json: Json = False) -> None:
     from dataclasses import asdict
 
     from chromaperture.capture.open import connected_sources
-    from chromaperture.cli.console import print_json
 
     kinds = connected_sources()
     if json:

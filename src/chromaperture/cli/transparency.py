@@ -6,9 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.markup import escape
 
-from chromaperture.cli.checks import check_output
-from chromaperture.cli.options import BlackLevel, Json, Quiet, WhiteLevel
+from chromaperture.cli.console import out as console
+from chromaperture.cli.console import print_json, table
+from chromaperture.cli.options import BlackLevel, Json, Quiet, WhiteLevel, check_output
 from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
@@ -34,7 +36,6 @@ def transparency(
     chromaperture transparency white/cy_halves.png --bare white/open.png --black-level 16 --white-level 1016
     """
     from chromaperture.capture.files import read_image
-    from chromaperture.cli.console import print_json
     from chromaperture.color.transparency_map import transparency as transparency_map
     from chromaperture.system.storage import staged
 
@@ -118,10 +119,6 @@ def draw(path: Path, maps: dict[str, np.ndarray]) -> None:
 
 
 def _print(rows: list[dict[str, Any]]) -> None:
-    from rich.markup import escape
-
-    from chromaperture.cli.console import out, table
-
     light = table("Transparency, Eq. (11), %", "sheet", "R", "G", "B", "mean")
     noise = table("Loss of SNR, dB, and exposure", "sheet", "centre", "border", "exposure, photons", "sensor noise")
     for row in rows:
@@ -130,9 +127,9 @@ def _print(rows: list[dict[str, Any]]) -> None:
         losses = (f"{row[f'snr_loss_{place}_db']:.1f}" for place in ("central", "border"))
         longer = (f"x {row[f'exposure_{source}']:.2f}" for source in ("shot_noise", "amplitude"))
         noise.add_row(escape(row["name"]), *losses, *longer)
-    out.print(light)
-    out.print(noise)
-    out.print(
+    console.print(light)
+    console.print(noise)
+    console.print(
         "Loss against the bare centre. Exposure: the factor that restores the centre's SNR where photons make the "
         "noise, and where the sensor's own noise does, the reading behind the paper's 30 % for 2.3 dB."
     )

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from chromaperture.cli.checks import check_output
-from chromaperture.cli.options import Quality, Quiet, Seconds
+from chromaperture.cli.options import Quality, Quiet, Seconds, check_output
 
 if TYPE_CHECKING:
     from chromaperture.files.map_page import Page

@@ -1,7 +1,9 @@
-"""The result of a measurement."""
+"""The result of a measurement, and its figures."""
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,12 +16,12 @@ from chromaperture.depth.pointcloud import PointCloud, depth_to_points
 from chromaperture.model.camera_file import Calibration
 from chromaperture.settings.methods import Config
 from chromaperture.system.errors import InputError
-from chromaperture.system.threads import BAND_ROWS, each_band
+from chromaperture.system.threads import BAND_ROWS, each_band, parallel_map
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from chromaperture.frame.points_view import PointsView
+    from chromaperture.frame.notebook import PointsView
 
 # From a function of the rows of a band and its colours; it is called for all bands.
 ColorBands = Callable[..., None]
@@ -186,7 +188,7 @@ class DepthFrame:
 
     def show(self) -> Figure:
         """Draw photograph, depth with a colour bar in mm, and error bar, in a window or a notebook."""
-        from chromaperture.frame.figure import show
+        from chromaperture.frame.notebook import show
 
         return show(self)
 
@@ -209,29 +211,75 @@ class DepthFrame:
         InputError
             As `points`.
         """
-        from chromaperture.frame.points_view import points_view
+        from chromaperture.frame.notebook import points_view
 
         cloud = self.points(max_relative_sigma=max_relative_sigma)
         return points_view(cloud, most_points=most_points, height_px=height_px)
 
     def to_open3d(self, *, max_relative_sigma: float = MAX_RELATIVE_SIGMA) -> Any:
         """Return the points as ``open3d.geometry.PointCloud``, in metres; needs the extra ``reconstruct``."""
-        from chromaperture.frame.bridges import to_open3d
+        from chromaperture.frame.notebook import to_open3d
 
         return to_open3d(self.points(max_relative_sigma=max_relative_sigma))
 
     def to_xarray(self) -> Any:
         """Return all maps as ``xarray.Dataset`` with the dimensions y, x, units in the attributes; needs xarray."""
-        from chromaperture.frame.bridges import to_xarray
+        from chromaperture.frame.notebook import to_xarray
 
         return to_xarray(self)
 
     def __repr__(self) -> str:
-        from chromaperture.frame.summary import one_line
-
         return f"DepthFrame({one_line(self)})"
 
     def _repr_html_(self) -> str:
         from chromaperture.frame.notebook import html
 
         return html(self)
+
+
+_PERCENTILES = (5, 25, 50, 75, 95)  # of disparity and depth
+# Of a map of many megapixels every n-th row and column is used: the median of a million samples is off by a thousandth
+# of the spread.
+_SAMPLES = 1 << 20
+_LEAST_SAMPLES = 10_000  # known ones; below, all pixels count
+
+
+def summarise(frame: DepthFrame, seconds: dict[str, float]) -> dict[str, Any]:
+    """Collect the figures of one frame, units in the names; ``seconds`` is the time of each stage."""
+    known = frame.valid if frame.is_calibrated else np.isfinite(frame.disparity_px)
+    disparity, depth, sigma = parallel_map(_percentiles, (frame.disparity_px, frame.depth_mm, frame.sigma_mm))
+    return {
+        "fill_rate": float(known.mean()),
+        "disparity_percentiles_px": disparity,
+        "depth_percentiles_mm": depth,
+        "sigma_median_mm": None if sigma is None else sigma["50"],
+        "seconds": {name: round(value, 4) for name, value in seconds.items()},
+        "config": None if frame.config is None else dataclasses.asdict(frame.config),
+        "camera": None if frame.calibration is None else frame.calibration.summary(),
+    }
+
+
+def one_line(frame: DepthFrame) -> str:
+    """Describe a frame: size, fill rate, median depth and error bar; disparity where there is no depth."""
+    height, width = frame.disparity_px.shape
+    values, sigma, name, unit, form = frame.depth_mm, frame.sigma_mm, "depth", "mm", ".0f"
+    if not frame.valid.any():
+        values, sigma, name, unit, form = frame.disparity_px, frame.disparity_sigma_px, "disparity", "px", ".2f"
+    known = np.isfinite(values)
+    text = f"{width}x{height} px, {known.mean():.1%} filled"
+    if not known.any():
+        return text
+    text += f", median {name} {np.median(values[known]):{form}} {unit}"
+    sigma = sigma[np.isfinite(sigma)]
+    return text + (f", median sigma {np.median(sigma):{form}} {unit}" if sigma.size else "")
+
+
+def _percentiles(values: np.ndarray) -> dict[str, float] | None:
+    step = math.isqrt(values.size // _SAMPLES) or 1
+    sample = values[::step, ::step]
+    known = sample[np.isfinite(sample)]
+    if known.size < _LEAST_SAMPLES:
+        known = values[np.isfinite(values)]
+    if known.size == 0:
+        return None
+    return {str(p): float(v) for p, v in zip(_PERCENTILES, np.percentile(known, _PERCENTILES), strict=True)}

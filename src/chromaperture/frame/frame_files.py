@@ -12,8 +12,7 @@ from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, rows_within_error, within_error
 from chromaperture.depth.pointcloud import write_depth_ply
 from chromaperture.files.pictures import write_color_png, write_depth_png, write_float_tiff
-from chromaperture.frame.depth_frame import DepthFrame
-from chromaperture.frame.summary import summarise
+from chromaperture.frame.depth_frame import DepthFrame, summarise
 from chromaperture.system.errors import InputError
 from chromaperture.system.memory import Rows
 from chromaperture.system.storage import staged, write_json
@@ -72,7 +71,7 @@ def chosen_outputs(write: str | Iterable[str] | None, *, is_calibrated: bool = T
 
         openexr()  # before the work: the extra may be missing
     if "usdz" in names:
-        from chromaperture.files.depth_usdz import usd
+        from chromaperture.files.textured_mesh import usd
 
         usd()
     return tuple(name for name in OUTPUTS if name in names)
@@ -184,10 +183,10 @@ def write_format(name: str, path: Path, frame: DepthFrame, *, max_relative_sigma
 
     mesh = textured_mesh(z_mm, color, camera_matrix=matrix, distortion=lens.distortion)
     if name == "glb":
-        from chromaperture.files.depth_glb import glb_bytes
+        from chromaperture.files.textured_mesh import glb_bytes
 
         path.write_bytes(glb_bytes(mesh))
     else:
-        from chromaperture.files.depth_usdz import write_usdz
+        from chromaperture.files.textured_mesh import write_usdz
 
         write_usdz(path, mesh)

@@ -9,26 +9,35 @@ import dataclasses
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import asdf
 import numpy as np
+from pydantic import AliasPath, Field
 
 from chromaperture.color.unmixing import mixing_matrix, own_film_unmixing, unmixing_rows
 from chromaperture.depth.conversion import DepthModel, PaperParameters, depth_to_disparity, model_to_paper
 from chromaperture.depth.field import DepthField, field_from_tree, field_to_tree, plain
 from chromaperture.model.asdf_input import read_tree
-from chromaperture.model.camera_parts import Board, CameraSensor, Film, Lens
-from chromaperture.model.camera_tree import CameraTree
+from chromaperture.model.camera_parts import Board, CameraPart, CameraSensor, Film, Lens, stored_as
 from chromaperture.optics.aperture import Aperture, design_named
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.pinhole import centered_pinhole
 from chromaperture.settings.methods import QUALITIES, Quality
 from chromaperture.system.errors import InputError
 from chromaperture.system.storage import staged
-from chromaperture.system.validation import MOST_PIXELS, checked, quoted
+from chromaperture.system.validation import (
+    MOST_PIXELS,
+    Finite,
+    Name,
+    NotNegative,
+    Positive,
+    checked,
+    checked_value,
+    quoted,
+)
 
 FORMAT_VERSION = 1
 # A focus from here on is called infinity: that far away the disparity of a 50 mm lens at f/2 is .04 px of 62 um less
@@ -47,10 +56,28 @@ _ABOUT = (
     "channel_moves_px is the displacement (x, y) of R, G, B by the lens at every disparity alike, px, in rows and "
     "columns of places evenly spaced over the frame; real-time takes it off before it matches three channels."
 )
+_Length = Field(min_length=2, max_length=100)  # of a table's side
+_Moved = Annotated[Finite, Field(ge=-100, le=100)]
+_Pair = tuple[_Moved, _Moved]
+_Moves = Annotated[tuple[Annotated[tuple[tuple[_Pair, _Pair, _Pair], ...], _Length], ...], _Length]
+
+
+def _curves(tree: Mapping[str, Mapping[str, Any]]) -> dict[Quality, DepthField]:
+    """Rebuild the depth curves; raises KeyError, TypeError or ValueError where the tree holds none."""
+    try:
+        return {quality: field_from_tree(tree[quality]) for quality in QUALITIES if quality in tree}
+    except ValueError as error:
+        raise ValueError(f"the curves are damaged ({error}); calibrate again") from None
+
+
+def _blur(values: Mapping[str, float]) -> BlurModel:
+    """Rebuild the blur; files of versions without ``contrast_fall`` are of film, which has none."""
+    complete = {"contrast_fall": 0.0} | dict(values)
+    return BlurModel(**{f.name: complete[f.name] for f in fields(BlurModel)})
 
 
 @dataclass(frozen=True, repr=False)
-class Calibration:
+class Calibration(CameraPart):
     """The parameters of a `chromaperture.camera.camera.CodedApertureCamera`.
 
     Attributes
@@ -77,17 +104,17 @@ class Calibration:
         where the blur is not known, in files of older versions, and for designs that match two channels.
     """
 
-    design: str
+    design: Name
     sensor: CameraSensor
     lens: Lens
     film: Film
-    depth: Mapping[Quality, DepthField]
-    near_mm: float
-    far_mm: float
+    depth: Annotated[Mapping[Quality, DepthField], stored_as(dict[str, dict[str, Any]], _curves)]
+    near_mm: Annotated[NotNegative, Field(validation_alias=AliasPath("working_range", "near_mm"))]
+    far_mm: Annotated[Positive, Field(validation_alias=AliasPath("working_range", "far_mm"))]
     provenance: Mapping[str, Any] = field(default_factory=dict)
-    blur: BlurModel | None = None
+    blur: Annotated[BlurModel, stored_as(dict[str, Finite], _blur)] | None = None
     board: Board | None = None
-    channel_moves_px: np.ndarray | None = None
+    channel_moves_px: Annotated[np.ndarray, stored_as(_Moves)] | None = None
 
     @property
     def aperture(self) -> Aperture:
@@ -233,8 +260,8 @@ class Calibration:
         matrix = centered_pinhole(focal_px, (width_px, height_px))
         return cls(
             design=design,
-            sensor=CameraSensor(width_px, height_px, pixel_pitch_mm=36.0 / width_px),
-            lens=Lens(focal_length_mm=50.0, camera_matrix=matrix),
+            sensor=CameraSensor(width_px, height_px, 36.0 / width_px, black_level=0.0, white_level=65535.0),
+            lens=Lens(50.0, camera_matrix=matrix, distortion=np.zeros(5)),
             film=Film(colors, np.ones(3), np.ones(3)),
             depth={},
             near_mm=0.0,
@@ -251,27 +278,11 @@ class Calibration:
             ``NAME.asdf``.
         """
         path = Path(path)
-        tree = {
-            _ROOT: {
-                "about": _ABOUT,
-                "format_version": FORMAT_VERSION,
-                "design": self.design,
-                "working_range": {"near_mm": self.near_mm, "far_mm": self.far_mm},
-                "depth": {quality: field_to_tree(field) for quality, field in self.depth.items()},
-                "lens": plain(dataclasses.asdict(self.lens)),
-                "blur": None if self.blur is None else dataclasses.asdict(self.blur),
-                "channel_moves_px": None if self.channel_moves_px is None else plain(self.channel_moves_px),
-                "board": None if self.board is None else plain(dataclasses.asdict(self.board)),
-                "sensor": plain(dataclasses.asdict(self.sensor)),
-                "film": {
-                    "unit": "white light as R, G, B, 1 = white level",
-                    "filters": {name: plain(color) for name, color in self.film.filters.items()},
-                    "clear": plain(self.film.clear),
-                    "aperture": plain(self.film.aperture),
-                },
-                "provenance": plain(dict(self.provenance)),
-            }
-        }
+        values = plain(dataclasses.asdict(replace(self, depth={}, provenance=dict(self.provenance))))
+        values["working_range"] = {name: values.pop(name) for name in ("near_mm", "far_mm")}
+        values["depth"] = {quality: field_to_tree(field) for quality, field in self.depth.items()}
+        values["film"]["unit"] = "white light as R, G, B, 1 = white level"
+        tree = {_ROOT: {"about": _ABOUT, "format_version": FORMAT_VERSION, **values}}
         with staged(path.parent) as stage, asdf.AsdfFile(tree) as file:
             file.write_to(stage.path(path.name))
 
@@ -300,8 +311,10 @@ class Calibration:
                     f"{path.name} has format version {version}, newer than this program's {FORMAT_VERSION}; "
                     "upgrade chromaperture"
                 )
-            values = checked(CameraTree, tree, where=quoted(path.name))
-            calibration = _from_tree(values, provenance=dict(tree["provenance"]))
+            checked_value(Annotated[int, Field(ge=1)], version, where=f"{quoted(path.name)}: format_version ")
+            # As it is in the file: what is checked has tuples for lists.
+            calibration = replace(checked(cls, tree, where=quoted(path.name)), provenance=dict(tree["provenance"]))
+            _check(calibration)
         except InputError:
             raise
         except Exception as error:  # YAML, ASDF and NumPy raise many kinds on a damaged file
@@ -310,56 +323,16 @@ class Calibration:
         return calibration
 
 
-def _from_tree(tree: CameraTree, *, provenance: dict[str, Any]) -> Calibration:
-    """Rebuild and check; the caller reports any KeyError or ValueError as damage."""
-    calibration = Calibration(
-        design=tree.design,
-        sensor=CameraSensor(**dict(tree.sensor)),
-        lens=Lens(
-            focal_length_mm=tree.lens.focal_length_mm,
-            camera_matrix=np.array(tree.lens.camera_matrix),
-            distortion=np.array(tree.lens.distortion),
-            f_number=tree.lens.f_number,
-        ),
-        film=Film(
-            {name: np.array(color) for name, color in tree.film.filters.items()},
-            np.array(tree.film.clear),
-            np.array(tree.film.aperture),
-        ),
-        depth={quality: field_from_tree(tree.depth[quality]) for quality in QUALITIES if quality in tree.depth},
-        near_mm=tree.working_range.near_mm,
-        far_mm=tree.working_range.far_mm,
-        provenance=provenance,
-        blur=None if tree.blur is None else _blur_from_tree(tree.blur),
-        board=None if tree.board is None else Board(tree.board.inner_corners, tree.board.square_mm),
-        channel_moves_px=None if tree.channel_moves_px is None else np.array(tree.channel_moves_px, float),
-    )
-    _check(calibration)
-    return calibration
-
-
-def _blur_from_tree(values: Mapping[str, float]) -> BlurModel:
-    """Rebuild the blur; files of versions without ``contrast_fall`` are of film, which has none."""
-    complete = {"contrast_fall": 0.0} | dict(values)
-    return BlurModel(**{f.name: complete[f.name] for f in fields(BlurModel)})
-
-
 def _check(calibration: Calibration) -> None:
-    """Raise ValueError for parameters that no camera has."""
+    """Raise ValueError for parameters that no camera has together."""
     sensor, lens, film = calibration.sensor, calibration.lens, calibration.film
     # The maps of a large sensor take gigabytes: it is checked at some places.
     small = sensor.width_px * sensor.height_px <= _CHECKED_WHOLE
     places = np.meshgrid(*(np.linspace(0, side - 1, _PLACES) for side in (sensor.width_px, sensor.height_px)))
     positive = {
-        "sensor.width_px": sensor.width_px,
-        "sensor.height_px": sensor.height_px,
-        "sensor.pixel_pitch_mm": sensor.pixel_pitch_mm,
         "sensor.white_level - black_level": sensor.white_level - sensor.black_level,
-        "lens.focal_length_mm": lens.focal_length_mm,
         "lens.camera_matrix fx": float(lens.camera_matrix[0, 0]),
         "lens.camera_matrix fy": float(lens.camera_matrix[1, 1]),
-        "film.clear": float(film.clear.min()),
-        "film.aperture": float(film.aperture.min()),
         "working range": calibration.far_mm - calibration.near_mm,
     }
     for quality, curve in calibration.depth.items():

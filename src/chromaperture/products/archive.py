@@ -1,23 +1,47 @@
-"""Measure many photographs: the files of one are written beside the measurement of the next.
+"""Measure many photographs: one after the other, in processes of this machine, or on a Dask cluster.
 
-A photograph that cannot be measured is a `Failure` among the results, and the others are measured; one whose results
-are complete is a `Kept`.
+A photograph that cannot be measured is a failure among the results, and the others are measured. ``STEM.json`` is
+written last and names what the results were made from, so a photograph is either complete or measured again, whichever
+process died when. A process of this machine that dies, as for lack of memory, costs the photograph it measured; another
+takes its place.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import contextlib
+import dataclasses
+import hashlib
+import json
+import multiprocessing
+import signal
+import sys
+import tempfile
+import threading
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cache, lru_cache
+from importlib import metadata
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any, Protocol
+from queue import SimpleQueue
+from types import FrameType
+from typing import Any
 
 import numpy as np
 
 from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
+from chromaperture.frame.frame_files import OUTPUTS, chosen_outputs
+from chromaperture.model.camera_file import Calibration
+from chromaperture.products import archive_store as store
 from chromaperture.products.measure_file import Written, measure_only
-from chromaperture.system.errors import ChromapertureError
-from chromaperture.system.threads import beside
+from chromaperture.settings.methods import Config
+from chromaperture.system.cluster import check_version, connected, run_tasks
+from chromaperture.system.errors import CaptureWarning, ChromapertureError, InputError
+from chromaperture.system.threads import beside, limited_opencv_threads, limited_threads, thread_count
 
 # Called with the camera and the linear image of a photograph before it is measured, and its name; may raise InputError.
 Inspect = Callable[[CodedApertureCamera, np.ndarray, str], None]
@@ -42,26 +66,13 @@ class Kept:
     image: str
 
 
-class Origin(Protocol):
-    """Knows from what results are made, and whether they are complete; see `archive_cluster.RecipeOrigin`."""
-
-    def made_from(self, image: Path) -> dict[str, str]:
-        """Return what goes into ``STEM.json``; raises InputError."""
-
-    def is_complete(self, image: Path, made_from: dict[str, str]) -> bool:
-        """Whether results that were made from this are all there."""
-
-    def begin(self, image: Path) -> None:
-        """Take the mark of completeness from results that are about to be replaced; raises InputError."""
-
-
 def measure_files(
     images: Sequence[Path],
     camera_of: Callable[[Path], CodedApertureCamera],
     *,
     listener: Callable[[str, int], None] = lambda stage, i: None,
     inspect: Inspect = measure_everything,
-    origin: Origin | None = None,
+    origin: RecipeOrigin | None = None,
     **options: Any,
 ) -> Iterator[Written | Failure | Kept]:
     """Measure photographs one after the other; no more than two measurements are in memory.
@@ -93,7 +104,7 @@ def _measured(
     camera_of: Callable[[Path], CodedApertureCamera],
     listener: Callable[[str, int], None],
     inspect: Inspect,
-    origin: Origin | None,
+    origin: RecipeOrigin | None,
     options: dict[str, Any],
 ) -> Callable[[], Written] | Failure | Kept:
     """Measure one photograph; returns the function that writes its files."""
@@ -126,3 +137,315 @@ def _result(image: Path, writing: Future[Written]) -> Written | Failure:
         return writing.result()
     except ChromapertureError as error:
         return Failure(str(image), error)
+
+
+# Dask may run several tasks in the threads of one process; a measurement already divides its work among threads.
+_ONE_AT_A_TIME = threading.Lock()
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What all photographs of a run have in common; sent to each worker once. Make it with `recipe_for`."""
+
+    # Tuple of (str, str): hashes of the camera file, of the settings and of the program, and its version: equal ones
+    # give equal results.
+    made_from: tuple[tuple[str, str], ...]
+    calibration: Calibration = field(compare=False)
+    config: Config = field(compare=False)
+    out: str | None = None  # folder or URL of the results; beside each photograph when None
+    outputs: tuple[str, ...] = ()  # from `chosen_outputs`, with ``json``
+    black_level: float | None = None
+    white_level: float | None = None
+    max_relative_sigma: float = MAX_RELATIVE_SIGMA
+    # See `Inspect`; of a module that the workers have too.
+    inspect: Inspect = field(default=measure_everything, compare=False)
+    again: bool = False  # measure what is complete, too
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one photograph."""
+
+    image: str
+    error: str = ""  # one line; empty where the results are complete
+    kept: bool = False  # the results were complete before
+    warnings: tuple[str, ...] = ()
+    worker: str = ""  # where it was measured
+    version: str = ""  # of the package there; empty where the worker could not be reached
+
+
+def recipe_for(
+    camera_file: Path,
+    camera: CodedApertureCamera,
+    *,
+    out: str | None = None,
+    write: str | Iterable[str] | None = None,
+    black_level: float | None = None,
+    white_level: float | None = None,
+    max_relative_sigma: float = MAX_RELATIVE_SIGMA,
+    inspect: Inspect = measure_everything,
+    again: bool = False,
+) -> Recipe:
+    """Put together what workers need; ``json`` is always among the outputs, because it marks what is complete.
+
+    Raises InputError: an output is unknown, or the camera file cannot be read.
+    """
+    chosen = chosen_outputs(write, is_calibrated=camera.calibration.is_calibrated)
+    outputs = tuple(name for name in OUTPUTS if name in {*chosen, "json"})
+    settings = {
+        "config": dataclasses.asdict(camera.config), "outputs": outputs, "levels": (black_level, white_level),
+        "max_relative_sigma": max_relative_sigma, "quality": camera.config.quality,
+        "mosaic": camera.calibration.sensor.mosaic,
+    }  # fmt: skip
+    made_from = (
+        ("camera_sha256", store.content_hash(str(camera_file))),
+        ("settings_sha256", hashlib.sha256(json.dumps(settings, sort_keys=True, default=str).encode()).hexdigest()),
+        ("program_sha256", _program_hash()),
+        ("version", metadata.version("chromaperture")),
+    )
+    levels = {"black_level": black_level, "white_level": white_level}
+    absolute_out = None if out is None else store.absolute(out)
+    return Recipe(
+        made_from, camera.calibration, camera.config, absolute_out, outputs, **levels,
+        max_relative_sigma=max_relative_sigma, inspect=inspect, again=again,
+    )  # fmt: skip
+
+
+@cache
+def _program_hash() -> str:
+    """Hash of the package's own files: someone who changes them keeps the version."""
+    root, digest = Path(__file__).parents[1], hashlib.sha256()
+    for source in sorted(root.rglob("*.py")):
+        digest.update(source.relative_to(root).as_posix().encode() + b"\0" + source.read_bytes())
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class RecipeOrigin:
+    """Knows from what results on a file system are made by a recipe, and whether they are complete."""
+
+    recipe: Recipe
+
+    def made_from(self, image: Path) -> dict[str, str]:
+        """Return the hash of the photograph, and those of the recipe."""
+        return {"image_sha256": store.content_hash(str(image)), **dict(self.recipe.made_from)}
+
+    def is_complete(self, image: Path, made_from: dict[str, str]) -> bool:
+        """Whether ``STEM.json`` names the same and all files are there; never with ``again``."""
+        return not self.recipe.again and _is_complete(self._folder(image), image.stem, self.recipe, made_from)
+
+    def begin(self, image: Path) -> None:
+        """Remove ``STEM.json`` where it marks results as complete."""
+        if _mark(self._folder(image), image.stem) is not None:
+            store.remove(self._folder(image), image.stem + OUTPUTS["json"].suffix)
+
+    def _folder(self, image: Path) -> str:
+        return str(image.parent) if self.recipe.out is None else self.recipe.out
+
+
+def _is_complete(folder: str, stem: str, recipe: Recipe, made_from: dict[str, str]) -> bool:
+    names = [stem + OUTPUTS[name].suffix for name in recipe.outputs]
+    return bool(_mark(folder, stem) == made_from and store.all_exist(folder, names))
+
+
+def _mark(folder: str, stem: str) -> Any:
+    content = store.read_json(folder, stem + OUTPUTS["json"].suffix)
+    return content.get("made_from") if isinstance(content, dict) else None
+
+
+def measure_on_cluster(images: Iterable[str], recipe: Recipe, address: str) -> Iterator[Outcome]:
+    """Measure photographs on the workers of a scheduler; every one has one outcome, in the order they finish.
+
+    Raises InputError: the cluster cannot be reached or is lost, no worker is left, or one has another version of the
+    package. What is complete is kept, and the same call goes on from there.
+    """
+    with connected(address) as client:
+        for finished in run_tasks(client, measure_photograph, map(store.absolute, images), recipe):
+            error = finished.error
+            if isinstance(error, ImportError | AttributeError):  # a module or a name of this version is missing there
+                raise InputError(f"a worker cannot run this version's code ({error}): install the same everywhere")
+            if error is not None:
+                yield Outcome(finished.task, _one_line(error))
+                continue
+            outcome: Outcome = finished.value
+            check_version(outcome.worker, outcome.version)
+            yield outcome
+
+
+def measure_photograph(image: str, recipe: Recipe) -> Outcome:
+    """Measure a photograph and write its results, unless they are complete; runs on a worker.
+
+    Returns with the error of a photograph that cannot be measured. The cluster tries no such photograph again. Raises
+    StoreError: a store failed in a way that may pass; Dask tries again.
+    """
+    version = metadata.version("chromaperture")
+    here = _worker()
+    origin: dict[str, Any] = {"worker": "" if here is None else str(here.address), "version": version}
+    if version != dict(recipe.made_from)["version"]:
+        return Outcome(image, "another version", **origin)
+    error, kept = "", False
+    with _ONE_AT_A_TIME, warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", CaptureWarning)
+        try:
+            # In Dask's own folder, which it clears of what a killed worker left.
+            directory = None if here is None else here.local_directory
+            with tempfile.TemporaryDirectory(prefix="chromaperture-", dir=directory) as private:
+                kept = _measure(image, recipe, Path(private))
+        except store.StoreError:
+            raise
+        except Exception as raised:  # also a fault of the program: the other photographs are measured all the same
+            error = _one_line(raised)
+    texts = tuple(str(w.message) for w in caught if issubclass(w.category, CaptureWarning))
+    return Outcome(image, error, kept, texts, **origin)
+
+
+def _measure(image: str, recipe: Recipe, private: Path) -> bool:
+    """Measure unless the results are complete; returns whether they were."""
+    path = store.as_path(image)
+    if store.is_url(image):
+        path = private / image.rpartition("/")[2]
+        store.fetch(image, path)
+    folder = store.folder_of(image) if recipe.out is None else recipe.out
+    made_from = {"image_sha256": store.content_hash(str(path)), **dict(recipe.made_from)}
+    if not recipe.again and _is_complete(folder, path.stem, recipe, made_from):
+        return True
+    camera = _camera(recipe)
+    results = private / "results" if store.is_url(folder) else store.as_path(folder)
+    measured = measure_only(
+        path, camera, out=results, write=recipe.outputs, black_level=recipe.black_level,
+        white_level=recipe.white_level, max_relative_sigma=recipe.max_relative_sigma,
+        inspect=lambda linear: recipe.inspect(camera, linear, path.name),
+    )  # fmt: skip
+    store.remove(folder, path.stem + OUTPUTS["json"].suffix)  # first: never is it beside files of two measurements
+    written = measured.write(made_from=made_from)
+    if store.is_url(folder):
+        store.upload(written.files, folder)
+    return False
+
+
+@lru_cache(maxsize=1)  # a worker measures one archive at a time
+def _camera(recipe: Recipe) -> CodedApertureCamera:
+    return CodedApertureCamera(recipe.calibration, recipe.config)
+
+
+def _worker() -> Any:
+    """Return the Dask worker that runs this thread; None elsewhere."""
+    with contextlib.suppress(ImportError, ValueError):
+        from distributed import get_worker
+
+        return get_worker()
+    return None
+
+
+def _one_line(error: BaseException) -> str:
+    text = " ".join(str(error).split())
+    return text if isinstance(error, ChromapertureError) else f"{type(error).__name__}: {text}"[:300]
+
+
+STOP_S = 30.0  # for a process to remove half-written files after it was asked to end; chosen by hand
+DIED = "the process that measured it died, perhaps for lack of memory; run again with fewer --jobs"
+
+
+def measure_in_processes(images: Sequence[str], recipe: Recipe, *, jobs: int) -> Iterator[Outcome]:
+    """Measure photographs, ``jobs`` at a time, each process with its share of the threads.
+
+    ``images``: absolute paths; ``jobs``: each needs the memory of one measurement. Yields one for each photograph, in
+    the order they finish. An abandoned iteration ends the processes.
+    """
+    waiting, lock = iter(images), threading.Lock()
+    finished: SimpleQueue[Outcome] = SimpleQueue()
+    pool = _WorkerPool(recipe, max(1, thread_count() // jobs))
+
+    def measure_waiting() -> None:
+        with contextlib.suppress(_EndedError):
+            worker: _Worker | None = None
+            while True:
+                with lock:
+                    image = next(waiting, None)
+                if image is None:
+                    return
+                worker = worker or pool.start_worker()
+                outcome = worker.measure(image)
+                if outcome is None:
+                    worker, outcome = None, Outcome(image, DIED)
+                finished.put(outcome)
+
+    try:
+        for _ in range(min(jobs, len(images))):
+            threading.Thread(target=measure_waiting, daemon=True, name="chromaperture-job").start()
+        for _ in images:
+            yield finished.get()
+    finally:
+        pool.stop()
+
+
+class _EndedError(Exception):
+    """The run has ended: no process is started any more."""
+
+
+class _Worker:
+    """A process, and this end of the pipe to it."""
+
+    def __init__(self, process: BaseProcess, pipe: Connection) -> None:
+        self.process, self._pipe = process, pipe
+
+    def measure(self, image: str) -> Outcome | None:
+        """Return what became of a photograph; None where the process died."""
+        try:
+            self._pipe.send(image)
+            outcome: Outcome = self._pipe.recv()
+        except (EOFError, OSError):
+            return None
+        return outcome
+
+
+class _WorkerPool:
+    """All processes of a run."""
+
+    def __init__(self, recipe: Recipe, threads: int) -> None:
+        self._recipe, self._threads = recipe, threads
+        self._workers: list[_Worker] = []
+        self._lock, self._ended = threading.Lock(), False
+        # Not "fork": locks of this process's threads would be copied as they are.
+        self._context = multiprocessing.get_context("spawn")
+
+    def start_worker(self) -> _Worker:
+        """Start a process; raises _EndedError after `stop`."""
+        with self._lock:
+            if self._ended:
+                raise _EndedError
+            own, theirs = self._context.Pipe()
+            process = self._context.Process(target=_serve, args=(theirs, self._recipe, self._threads), daemon=True)
+            process.start()
+            theirs.close()  # so that its end is seen here
+            worker = _Worker(process, own)
+            self._workers.append(worker)
+            return worker
+
+    def stop(self) -> None:
+        """End all processes; what they were writing is removed."""
+        with self._lock:
+            self._ended = True
+        for worker in self._workers:
+            worker.process.terminate()
+        for worker in self._workers:
+            worker.process.join(STOP_S)
+            worker.process.kill()
+
+
+def _serve(pipe: Connection, recipe: Recipe, threads: int) -> None:
+    """Measure what comes through the pipe, until it is closed; of a process of its own."""
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        sys.exit(1)  # through the blocks that remove half-written files
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal sends it to all; this process's owner ends it
+    signal.signal(signal.SIGTERM, leave)
+    with limited_threads(threads), limited_opencv_threads(threads), contextlib.suppress(EOFError, OSError):
+        while True:
+            image = pipe.recv()
+            try:
+                outcome = measure_photograph(image, recipe)
+            except Exception as error:  # of a store that does not answer
+                outcome = Outcome(image, str(error))
+            pipe.send(outcome)

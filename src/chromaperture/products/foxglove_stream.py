@@ -9,16 +9,15 @@ from __future__ import annotations
 import contextlib
 import re
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
-from chromaperture.products.rectified import View, nanoseconds
+from chromaperture.products.rectified import DepthEncoding, View, nanoseconds
 from chromaperture.system.errors import InputError, MissingDependencyError
 
-DepthEncoding = Literal["16UC1", "32FC1"]
 CAMERA_FRAME, WORLD_FRAME = "camera_optical_frame", "world"
 DEFAULT_PORT = 8765  # of Foxglove, which its "open connection" proposes
 _MOST_POINTS = 100_000  # of a cloud: 1.6 MB a message; chosen by hand
@@ -126,15 +125,8 @@ class FoxgloveStream:
         stamp = messages.Timestamp(*divmod(view.time_ns, 10**9))
         head = {"timestamp": stamp, "frame_id": CAMERA_FRAME}
         z_mm = within_error(view.z_mm, view.sigma_mm, self._limit)
-        pictures = {
-            "color": ("rgb8", view.color),
-            "depth": (self._encoding, encoded_depth(z_mm, self._encoding)),
-            "sigma": ("32FC1", (view.sigma_mm / 1000).astype("<f4")),
-        }
-        if view.confidence is not None:
-            pictures["confidence"] = ("32FC1", view.confidence.astype("<f4"))
         height, width = z_mm.shape
-        for part, (encoding, pixels) in pictures.items():
+        for part, (encoding, pixels) in view.ros_pictures(self._encoding, z_mm).items():
             image = messages.RawImage(
                 **head, width=width, height=height, encoding=encoding, step=pixels.nbytes // height,
                 data=np.ascontiguousarray(pixels).tobytes(),
@@ -184,14 +176,6 @@ class FoxgloveStream:
         return messages.PointCloud(
             **head, pose=origin, point_stride=points.itemsize, fields=fields, data=points.tobytes()
         )
-
-
-def encoded_depth(z_mm: np.ndarray, encoding: DepthEncoding) -> np.ndarray:
-    """Encode depth (H, W) in mm, NaN unknown, as REP 118: 16UC1 in whole mm, 0 unknown; 32FC1 in m, NaN unknown."""
-    if encoding == "32FC1":
-        return (z_mm / 1000).astype("<f4")
-    known = np.isfinite(z_mm) & (z_mm > 0) & (z_mm < 65535)
-    return np.where(known, np.rint(np.where(known, z_mm, 0)), 0).astype("<u2")
 
 
 def address(text: str) -> tuple[str, int]:

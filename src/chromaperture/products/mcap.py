@@ -103,14 +103,8 @@ def write_mcap(
             sec, nanosec = divmod(frame.time_ns, 10**9)
             header = {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": _FRAME}
             z_mm = within_error(frame.z_mm, frame.sigma_mm, max_relative_sigma)
-            known = np.isfinite(z_mm) & (z_mm > 0) & (z_mm < 65535)
-            depth = np.where(known, np.rint(np.where(known, z_mm, 0)), 0).astype("<u2")
-            size = {"header": header, "height": depth.shape[0], "width": depth.shape[1]}
-            pictures = [("color", "rgb8", frame.color), ("depth", "16UC1", depth)]
-            pictures.append(("sigma", "32FC1", (frame.sigma_mm / 1000).astype("<f4")))
-            if frame.confidence is not None:
-                pictures.append(("confidence", "32FC1", frame.confidence.astype("<f4")))
-            for part, encoding, pixels in pictures:
+            size = {"header": header, "height": z_mm.shape[0], "width": z_mm.shape[1]}
+            for part, (encoding, pixels) in frame.ros_pictures("16UC1", z_mm).items():
                 messages = (
                     ("image_rect", image, size | _image(encoding, pixels)),
                     ("camera_info", info, size | _info(camera_matrix)),

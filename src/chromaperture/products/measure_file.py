@@ -16,11 +16,9 @@ from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.capture.exif import other_colours, read_model
 from chromaperture.capture.picture_format import PictureFormat, described
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
-from chromaperture.depth.pointcloud import PointCloud, depth_to_points
 from chromaperture.frame import frame_files
-from chromaperture.frame.depth_frame import DepthFrame
+from chromaperture.frame.depth_frame import DepthFrame, summarise
 from chromaperture.frame.frame_files import OUTPUTS, chosen_outputs
-from chromaperture.frame.summary import summarise
 from chromaperture.system.errors import CaptureWarning, within_memory
 from chromaperture.system.storage import staged, write_json
 
@@ -248,10 +246,3 @@ def write_maps(
     outputs = chosen_outputs(None, is_calibrated=camera.calibration.is_calibrated)
     maps = [name for name in outputs if name not in ("preview", "json")]
     frame_files.write_maps(target, stem, frame, maps, max_relative_sigma=max_relative_sigma)
-
-
-def points(camera: CodedApertureCamera, depth_mm: np.ndarray, color: np.ndarray, *, step: int = 1) -> PointCloud:
-    """Return the points of a depth map of this camera, of every so many rows and columns; see `depth_to_points`."""
-    lens, delta = camera.calibration.lens, camera.calibration.depth[camera.config.quality].sensor_to_pupil_mm
-    matrix, distortion = np.diag([1 / step, 1 / step, 1]) @ lens.camera_matrix, lens.distortion
-    return depth_to_points(depth_mm, color, camera_matrix=matrix, distortion=distortion, sensor_to_pupil_mm=delta)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -14,6 +15,8 @@ from chromaperture.capture.picture_header import other_size
 from chromaperture.capture.source import Frame
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.system.errors import InputError
+
+DepthEncoding = Literal["16UC1", "32FC1"]  # of REP 118: mm, 0 unknown, or m, NaN unknown
 
 
 @dataclass(frozen=True)
@@ -34,11 +37,30 @@ class View:
         """The time in nanoseconds; ``time_s * 1e9`` would be rounded to 256 of them."""
         return nanoseconds(self.time_s)
 
+    def ros_pictures(self, encoding: DepthEncoding, z_mm: np.ndarray) -> dict[str, tuple[str, np.ndarray]]:
+        """Return encoding and pixels of colour, depth (``z_mm``), sigma and confidence (m), as REP 118 has them."""
+        pictures = {
+            "color": ("rgb8", self.color),
+            "depth": (encoding, encoded_depth(z_mm, encoding)),
+            "sigma": ("32FC1", (self.sigma_mm / 1000).astype("<f4")),
+        }
+        if self.confidence is not None:
+            pictures["confidence"] = ("32FC1", self.confidence.astype("<f4"))
+        return pictures
+
 
 def nanoseconds(time_s: float) -> int:
     """Return seconds as whole nanoseconds, as exactly as the seconds are known."""
     whole, part = divmod(time_s, 1.0)
     return int(whole) * 10**9 + round(part * 1e9)
+
+
+def encoded_depth(z_mm: np.ndarray, encoding: DepthEncoding) -> np.ndarray:
+    """Encode depth (H, W) in mm, NaN unknown, as REP 118: 16UC1 in whole mm, 0 unknown; 32FC1 in m, NaN unknown."""
+    if encoding == "32FC1":
+        return (z_mm / 1000).astype("<f4")
+    known = np.isfinite(z_mm) & (z_mm > 0) & (z_mm < 65535)
+    return np.where(known, np.rint(np.where(known, z_mm, 0)), 0).astype("<u2")
 
 
 def of_stream(camera: CodedApertureCamera, frames: Iterable[Frame]) -> tuple[CodedApertureCamera, Iterator[Frame]]:

@@ -11,9 +11,10 @@ import os
 import stat
 import tomllib
 from collections.abc import Iterable, Iterator
+from dataclasses import is_dataclass
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, cast, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -38,8 +39,9 @@ _STRICT = ConfigDict(strict=True)  # "1" and true are no numbers
 # How messages call what pydantic expected.
 _EXPECTED = {"float_type": "a number", "float_parsing": "a number", "int_type": "a whole number",
              "int_parsing": "a whole number", "bool_type": "true or false", "string_type": "text",
-             "tuple_type": "a list", "model_type": "a table", "dict_type": "a table"}  # fmt: skip
-M = TypeVar("M", bound="Table")
+             "tuple_type": "a list", "model_type": "a table", "dict_type": "a table", "dataclass_type": "a table",
+             "mapping_type": "a table"}  # fmt: skip
+M = TypeVar("M")
 
 
 class Table(BaseModel):
@@ -95,13 +97,13 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 
 def checked(kind: type[M], tree: Any, *, where: str) -> M:
-    """Check a tree of plain values against a table, and return that.
+    """Check a tree of plain values against a `Table` or a dataclass, and return that.
 
     ``tree``: from TOML, JSON or YAML; ``where``: the file, for messages. Raises InputError: an unknown or missing key,
     a value of another type or out of its range; the message names it.
     """
     try:
-        return kind.model_validate(_tuples(tree))
+        return cast(M, _adapter(cast(Any, kind)).validate_python(_tuples(tree)))
     except ValidationError as error:
         raise InputError(f"{where}: {_explained(error, kind)}") from None
     except RecursionError:
@@ -146,7 +148,8 @@ def _representation(value: object) -> str:
 
 @cache
 def _adapter(kind: Any) -> TypeAdapter[Any]:
-    return TypeAdapter(kind, config=_STRICT)
+    has_own = is_dataclass(kind) or (isinstance(kind, type) and issubclass(kind, BaseModel))
+    return TypeAdapter(kind, config=None if has_own else _STRICT)
 
 
 def _tuples(value: Any) -> Any:
@@ -156,7 +159,7 @@ def _tuples(value: Any) -> Any:
     return {key: _tuples(item) for key, item in value.items()} if isinstance(value, dict) else value
 
 
-def _explained(error: ValidationError, kind: type[BaseModel] | None = None) -> str:
+def _explained(error: ValidationError, kind: Any = None) -> str:
     """Describe the first thing that is wrong: the key, what was expected, what was found."""
     # A misspelt key is missing too: name what is there.
     first = min(error.errors(include_url=False, include_context=False), key=lambda found: found["type"] == "missing")
