@@ -23,12 +23,11 @@ from chromaperture.matching.device.real_time_chain import add_real_time, add_rec
 from chromaperture.matching.device.view_stages import Planes, add_views
 from chromaperture.matching.error_bar import without_two_views
 from chromaperture.matching.estimate import method_for
-from chromaperture.matching.labels import IDENTITY, LabelMap, labels_between
+from chromaperture.matching.labels import IDENTITY, LabelMap, PathWinner, Surface, labels_between
+from chromaperture.matching.paper import CELL_PX, mixed_share, unlike_share
 from chromaperture.matching.readable.correlation import SCORE_PARTS, exponential_window
 from chromaperture.matching.readable.place import halved_surface, place_by_correlation
-from chromaperture.matching.unlike_views import CELL_PX, mixed_share, unlike_share
 from chromaperture.matching.views import FILL_UNITS, Views, filtered_views, halved_views
-from chromaperture.matching.winner import PathWinner, Surface
 from chromaperture.settings.methods import PaperConfig, RealTimeConfig
 from devices import needs_device
 from worlds import wavy_capture
@@ -332,7 +331,6 @@ def both_ways(maps, links, gain=0.7, own=0.4):
             state = (gain if n else 1.0) * maps[:, i] + link * state
             sums[:, i] += state
     return sums
-
 
 
 @pytest.mark.parametrize(

@@ -30,9 +30,8 @@ from chromaperture.matching.device.picture_stages import (
     row_pitch,
 )
 from chromaperture.matching.device.real_time_chain import add_real_time
-from chromaperture.matching.nothing_to_match import constant_view, no_usable_pixel
 from chromaperture.matching.real_time import RealTimeMethod
-from chromaperture.matching.views import CONSTANT
+from chromaperture.matching.views import CONSTANT, constant_view, no_usable_pixel
 from chromaperture.model.camera_file import Calibration
 from chromaperture.settings.methods import Quality
 from chromaperture.system.errors import InputError

@@ -12,12 +12,11 @@ from typing import cast
 
 import numpy as np
 
-from chromaperture.matching.clipped_areas import clipped_filled
 from chromaperture.matching.evidence.blur import SPACING_PX, BlurEvidence
 from chromaperture.matching.execution import ExecutionName, execution_named
 from chromaperture.matching.labels import IDENTITY
 from chromaperture.matching.result import ESTIMATED_NOISE, NoiseModel
-from chromaperture.matching.views import mixed, view_spaces
+from chromaperture.matching.views import clipped_filled, mixed, view_spaces
 from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.lens_blur import LensBlur
 from chromaperture.settings.methods import AccurateConfig

@@ -8,7 +8,6 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from chromaperture.matching.clipped_areas import clipped_filled
 from chromaperture.matching.error_bar import (
     confidence,
     local_range,
@@ -20,7 +19,7 @@ from chromaperture.matching.error_bar import (
     without_two_views,
 )
 from chromaperture.matching.execution import Execution
-from chromaperture.matching.labels import LabelMap
+from chromaperture.matching.labels import LabelMap, Surface, parabola_winner
 from chromaperture.matching.learned_error_bar import learned_bar, signs
 from chromaperture.matching.planes.block_surface import (
     BlockSurface,
@@ -35,8 +34,7 @@ from chromaperture.matching.planes.depth_edges import BLOCK_PX
 from chromaperture.matching.readable.between_layers import between_layers
 from chromaperture.matching.readable.paths import Posterior
 from chromaperture.matching.result import Disparity, NoiseModel
-from chromaperture.matching.views import ViewSpace, filtered_views
-from chromaperture.matching.winner import Surface, parabola_winner
+from chromaperture.matching.views import ViewSpace, clipped_filled, filtered_views
 from chromaperture.settings.methods import AccurateConfig
 from chromaperture.system.errors import InputError
 from chromaperture.system.threads import each_band

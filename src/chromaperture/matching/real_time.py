@@ -8,10 +8,9 @@ import numpy as np
 
 from chromaperture.matching.error_bar import confidence, sigma_of_range, surface_sigma, widened, without_two_views
 from chromaperture.matching.execution import Execution
-from chromaperture.matching.labels import MOST_APART_PX, LabelMap, labels_between
+from chromaperture.matching.labels import MOST_APART_PX, LabelMap, Surface, labels_between
 from chromaperture.matching.result import Disparity
 from chromaperture.matching.views import Views, ViewSpace, halved_views
-from chromaperture.matching.winner import Surface
 from chromaperture.settings.methods import RealTimeConfig
 
 

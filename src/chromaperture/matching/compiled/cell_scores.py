@@ -31,8 +31,7 @@ from chromaperture.matching.readable.correlation import (
     SCORE_PARTS,
     cell_variance_floor,
 )
-from chromaperture.matching.view_noise import view_pairs
-from chromaperture.matching.views import Views
+from chromaperture.matching.views import Views, view_pairs
 from chromaperture.matching.whole_light import whole_taps
 from chromaperture.settings.stages import CorrelationConfig
 from chromaperture.system.compilation import compiled, inlined

@@ -37,8 +37,7 @@ from chromaperture.matching.readable.correlation import (
     padding,
     sampled_noise,
 )
-from chromaperture.matching.view_noise import ViewNoise, is_even, view_pairs
-from chromaperture.matching.views import Views
+from chromaperture.matching.views import ViewNoise, Views, is_even, view_pairs
 from chromaperture.settings.stages import CorrelationConfig
 from chromaperture.system.threads import in_parallel, thread_count
 

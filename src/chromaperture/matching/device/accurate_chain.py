@@ -16,7 +16,6 @@ from operator import call
 import numpy as np
 
 from chromaperture.matching.accurate import AccurateMethod, PathSurface
-from chromaperture.matching.clipped_areas import clipped_filled
 from chromaperture.matching.device.device import Array, Chain, Device, Pending
 from chromaperture.matching.device.evidence_stages import EvidencePlan, add_evidence, plan_evidence
 from chromaperture.matching.device.label_stages import (
@@ -34,7 +33,7 @@ from chromaperture.matching.evidence.spectral import SpectralEvidence
 from chromaperture.matching.planes.block_surface import depth_edges_of
 from chromaperture.matching.planes.depth_edges import BLOCK_PX
 from chromaperture.matching.readable.paths import Posterior
-from chromaperture.matching.views import filtered_views
+from chromaperture.matching.views import clipped_filled, filtered_views
 from chromaperture.system.threads import begun, parallel_map
 
 DOWN = ("label", "posterior", "blocks")

@@ -16,7 +16,6 @@ import numpy as np
 
 from chromaperture.matching.device.device import GROUP, Array, Chain
 from chromaperture.matching.device.view_stages import GUIDE_SCALE, Planes
-from chromaperture.matching.logarithm import LOGARITHM
 from chromaperture.matching.readable.correlation import (
     CELL_EPSILON,
     CELL_TAPS,
@@ -29,7 +28,7 @@ from chromaperture.matching.readable.correlation import (
 )
 from chromaperture.matching.readable.enlarge import JUMP_PX
 from chromaperture.matching.readable.four_paths import LEAST_DETERMINANT, NAT_PARTS
-from chromaperture.matching.whole_light import whole_taps
+from chromaperture.matching.whole_light import LOGARITHM, whole_taps
 from chromaperture.settings.stages import CorrelationConfig
 
 # Share of a window's weight that lies beyond the samples a block of a line starts from, where the picture counts as

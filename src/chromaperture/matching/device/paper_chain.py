@@ -15,10 +15,9 @@ from chromaperture.matching.device.device import Array, Chain
 from chromaperture.matching.device.real_time_chain import add_links, add_recursions
 from chromaperture.matching.device.view_stages import Planes, add_views
 from chromaperture.matching.error_bar import CONFIDENCE_SCALE_PX, MAX_SIGMA_PX, independent_samples, sigma_of_range
-from chromaperture.matching.paper import EDGE_REACH_PX
+from chromaperture.matching.paper import CELL_PX, EDGE_REACH_PX, LEAST_VARIANCE, WINDOW_CELLS, mixed_share
 from chromaperture.matching.readable.bilateral import even_link
 from chromaperture.matching.readable.correlation import MIN_WEIGHT
-from chromaperture.matching.unlike_views import CELL_PX, LEAST_VARIANCE, WINDOW_CELLS, mixed_share
 from chromaperture.matching.views import ViewSpace, moved_px
 from chromaperture.settings.methods import PaperConfig
 
@@ -79,7 +78,7 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
 def _add_unlike_share(
     chain: Chain, planes: Planes, peaks: Array, directions: np.ndarray
 ) -> tuple[Array, dict[str, Any]]:
-    """Add `unlike_views.unlike_share`, in cells; return its map and their numbers along x and y."""
+    """Add `paper.unlike_share`, in cells; return its map and their numbers along x and y."""
     cells: dict[str, Any] = {"columns": max(1, planes.width // CELL_PX), "rows": max(1, planes.height // CELL_PX)}
     count = cells["columns"] * cells["rows"]
     moments, share = chain.array("unlike_moments", 8 * count), chain.array("unlike_share", count)

@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from chromaperture.matching.view_noise import ViewNoise, view_pairs
-from chromaperture.matching.views import Views
+from chromaperture.matching.views import ViewNoise, Views, view_pairs
 from chromaperture.matching.whole_light import plane_variance, whole_taps
 from chromaperture.settings.stages import SAMPLED_PX2, CorrelationConfig
 
