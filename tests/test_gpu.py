@@ -19,9 +19,9 @@ from chromaperture.depth.conversion import DepthModel
 from chromaperture.matching.device import device as device_file
 from chromaperture.matching.device.device import AdapterInfo, DeviceError, adapters, open_device
 from chromaperture.matching.device.gpu_method import DeviceMethod, GpuMethod, chosen_device, on_device
-from chromaperture.matching.device.measured import Extras
 from chromaperture.matching.estimate import method_for
 from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.result import Extras
 from chromaperture.settings.methods import PaperConfig, RealTimeConfig
 from chromaperture.settings.stages import CorrelationConfig
 from chromaperture.system.errors import (

@@ -17,7 +17,7 @@ from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.matching import readable as stages
 from chromaperture.matching.device import correlation_stages, shader_text
 from chromaperture.matching.device.device import Chain, Device, open_device, pass_times_ms, stage_times_ms
-from chromaperture.matching.device.measured import Conversion, add_conversion
+from chromaperture.matching.device.measured import add_conversion
 from chromaperture.matching.device.paper_chain import add_paper
 from chromaperture.matching.device.real_time_chain import add_real_time, add_recursions
 from chromaperture.matching.device.view_stages import Planes, add_views
@@ -27,6 +27,7 @@ from chromaperture.matching.labels import IDENTITY, LabelMap, PathWinner, Surfac
 from chromaperture.matching.paper import CELL_PX, mixed_share, unlike_share
 from chromaperture.matching.readable.correlation import SCORE_PARTS, exponential_window
 from chromaperture.matching.readable.place import halved_surface, place_by_correlation
+from chromaperture.matching.result import Conversion
 from chromaperture.matching.views import FILL_UNITS, Views, filtered_views, halved_views
 from chromaperture.settings.methods import PaperConfig, RealTimeConfig
 from devices import needs_device

@@ -10,7 +10,7 @@ import numpy as np
 
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.matching.device.device import DeviceError
-from chromaperture.matching.device.gpu_method import DeviceMethod
+from chromaperture.matching.device.gpu_method import DeviceMethod, device_method
 from chromaperture.matching.device.refocus_stages import RefocusChain, RefocusLayer
 from chromaperture.system.errors import OutOfMemoryError
 
@@ -53,4 +53,5 @@ class DeviceCompositor:
 
 def compositor_of(camera: CodedApertureCamera) -> DeviceCompositor | None:
     """Return what refocuses on the device of a camera; None where it has none."""
-    return None if camera.device_method is None else DeviceCompositor(camera.device_method)
+    behind = device_method(camera.method)
+    return None if behind is None else DeviceCompositor(behind)

@@ -33,7 +33,7 @@ from chromaperture.matching.planes.block_surface import (
 from chromaperture.matching.planes.depth_edges import BLOCK_PX
 from chromaperture.matching.readable.between_layers import between_layers
 from chromaperture.matching.readable.paths import Posterior
-from chromaperture.matching.result import Disparity, NoiseModel
+from chromaperture.matching.result import Disparity, Method, NoiseModel
 from chromaperture.matching.views import ViewSpace, clipped_filled, filtered_views
 from chromaperture.settings.methods import AccurateConfig
 from chromaperture.system.errors import InputError
@@ -79,7 +79,7 @@ class PathSurface(NamedTuple):
 
 
 @dataclass(frozen=True)
-class AccurateMethod:
+class AccurateMethod(Method):
     """Find the surface of labels that explains the evidence of all pixels."""
 
     config: AccurateConfig

@@ -10,7 +10,7 @@ import numpy as np
 from chromaperture.matching.error_bar import confidence, local_range, peak_sigma, sigma_of_range, surface_sigma
 from chromaperture.matching.execution import Execution
 from chromaperture.matching.labels import Surface
-from chromaperture.matching.result import Disparity, NoiseModel
+from chromaperture.matching.result import Disparity, Method, NoiseModel
 from chromaperture.matching.views import ViewSpace, filtered_views, moved_px
 from chromaperture.settings.methods import PaperConfig
 from chromaperture.system.threads import parallel_map
@@ -19,7 +19,7 @@ EDGE_REACH_PX = 8  # twice the reach of a matching window, and the pixel
 
 
 @dataclass(frozen=True)
-class PaperMethod:
+class PaperMethod(Method):
     """Correlate shifted views, smooth the scores by a bilateral filter, take every pixel's best layer."""
 
     config: PaperConfig

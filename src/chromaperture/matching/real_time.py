@@ -9,13 +9,13 @@ import numpy as np
 from chromaperture.matching.error_bar import confidence, sigma_of_range, surface_sigma, widened, without_two_views
 from chromaperture.matching.execution import Execution
 from chromaperture.matching.labels import MOST_APART_PX, LabelMap, Surface, labels_between
-from chromaperture.matching.result import Disparity
+from chromaperture.matching.result import Disparity, Method
 from chromaperture.matching.views import Views, ViewSpace, halved_views
 from chromaperture.settings.methods import RealTimeConfig
 
 
 @dataclass(frozen=True)
-class RealTimeMethod:
+class RealTimeMethod(Method):
     """Find the best layer along four paths, then its place between the layers, at half the resolution."""
 
     config: RealTimeConfig

@@ -22,7 +22,7 @@ from chromaperture.settings.methods import MatcherConfig
 
 
 @dataclass(frozen=True)
-class ScaledMethod:
+class ScaledMethod(Method):
     """A method that matches reduced pictures."""
 
     method: Method  # of the camera of reduced pictures
@@ -40,6 +40,11 @@ class ScaledMethod:
         low, high = np.percentile(guide, (1, 99))
         unit = 1 / (max(float(high - low), 1e-6) * self.config.views.guide_range)  # 1e-6: an even guide
         return Disparity(*self.run.upsample(coarse_maps(found, guide * np.float32(unit)), image, rgb * unit))
+
+    @property
+    def holds_volumes(self) -> bool:
+        """Whether volumes lie in the memory of this process."""
+        return self.method.holds_volumes
 
 
 def reduced(image: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:

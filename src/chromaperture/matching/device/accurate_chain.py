@@ -16,7 +16,7 @@ from operator import call
 import numpy as np
 
 from chromaperture.matching.accurate import AccurateMethod, PathSurface
-from chromaperture.matching.device.device import Array, Chain, Device, Pending
+from chromaperture.matching.device.device import Array, Chain, Device
 from chromaperture.matching.device.evidence_stages import EvidencePlan, add_evidence, plan_evidence
 from chromaperture.matching.device.label_stages import (
     WindowEvidence,
@@ -25,7 +25,7 @@ from chromaperture.matching.device.label_stages import (
     add_views_evidence,
     add_windows,
 )
-from chromaperture.matching.device.measured import NO_EXTRAS, Extras, Measured, OnDevice
+from chromaperture.matching.device.measured import OnDevice
 from chromaperture.matching.device.surface_stages import Grid, add_block_sums, add_path_surface
 from chromaperture.matching.evidence.blur import BlurEvidence
 from chromaperture.matching.evidence.correlation import CorrelationEvidence
@@ -33,6 +33,7 @@ from chromaperture.matching.evidence.spectral import SpectralEvidence
 from chromaperture.matching.planes.block_surface import depth_edges_of
 from chromaperture.matching.planes.depth_edges import BLOCK_PX
 from chromaperture.matching.readable.paths import Posterior
+from chromaperture.matching.result import NO_EXTRAS, Extras, Measured, Pending
 from chromaperture.matching.views import clipped_filled, filtered_views
 from chromaperture.system.threads import begun, parallel_map
 
@@ -166,7 +167,7 @@ class AccurateOnDevice(OnDevice):
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def start(self, image: np.ndarray, extras: Extras = NO_EXTRAS) -> Pending[Measured]:
-        """Send an image (H, W, 3) to the device, which begins; the CPU makes what is asked for besides."""
+        """Send an image (H, W, 3) to the device, which begins; at most two are under way, to be awaited in turn."""
         pairs = pairs_of(self.method)
         if pairs is not None:
             pairs.check_size(image)

@@ -12,24 +12,15 @@ import numpy as np
 
 from chromaperture.matching.accurate import AccurateMethod
 from chromaperture.matching.device.accurate_chain import AccurateOnDevice
-from chromaperture.matching.device.device import Array, Chain, Device, DeviceError, Pending, adapters, open_device
-from chromaperture.matching.device.measured import (
-    NO_EXTRAS,
-    Extras,
-    Measured,
-    OnDevice,
-    add_extras,
-    is_same,
-    measured_from,
-    outputs_of,
-)
+from chromaperture.matching.device.device import Array, Chain, Device, DeviceError, adapters, open_device
+from chromaperture.matching.device.measured import OnDevice, add_extras, is_same, measured_from, outputs_of
 from chromaperture.matching.device.paper_chain import add_paper, runs_on_device
 from chromaperture.matching.device.real_time_chain import add_real_time
 from chromaperture.matching.device.view_stages import Reduction, add_reduced, add_upsampled, check_stats
 from chromaperture.matching.labels import IDENTITY, LabelMap
 from chromaperture.matching.paper import PaperMethod
 from chromaperture.matching.real_time import RealTimeMethod
-from chromaperture.matching.result import Disparity, Method
+from chromaperture.matching.result import NO_EXTRAS, Disparity, Extras, Measured, Method, Pending
 from chromaperture.matching.views import ViewSpace, guide_weights
 from chromaperture.matching.working_scale import ScaledMethod
 from chromaperture.settings.methods import MatcherConfig, PaperConfig, RealTimeConfig
@@ -64,6 +55,11 @@ class GpuMethod(OnDevice):
 
         return Pending(result)
 
+    @property
+    def makes_extras(self) -> bool:
+        """Whether `start` makes what is asked for besides the disparity."""
+        return True
+
     def _composed(self, size: tuple[int, int], extras: Extras) -> Chain:
         """Return the chain for a size, kept until another is needed."""
         if self._chain is None or self._size != size or not is_same(self._extras, extras):
@@ -90,7 +86,7 @@ class GpuMethod(OnDevice):
 
 
 @dataclass
-class DeviceMethod:
+class DeviceMethod(Method):
     """A method on a device as long as that works, else on the CPU."""
 
     on_gpu: OnDevice
@@ -100,11 +96,7 @@ class DeviceMethod:
 
     def match(self, image: np.ndarray) -> Disparity:
         """Return the disparity of an image (H, W, 3)."""
-        return self.measure(image).disparity
-
-    def measure(self, image: np.ndarray, extras: Extras = NO_EXTRAS) -> Measured:
-        """Return the disparity of an image, and its depth where the device made it."""
-        return self.start(image, extras).result()
+        return self.start(image).result().disparity
 
     def start(self, image: np.ndarray, extras: Extras = NO_EXTRAS) -> Pending[Measured]:
         """Send an image (H, W, 3) to the device, which computes it while another is read back.
@@ -127,6 +119,21 @@ class DeviceMethod:
             return Measured(self.on_cpu.match(image))
 
         return Pending(result)
+
+    @property
+    def works_ahead(self) -> bool:
+        """Whether `start` computes a photograph while the one before is read back."""
+        return True
+
+    @property
+    def makes_extras(self) -> bool:
+        """Whether `start` makes what is asked for besides the disparity."""
+        return self.on_gpu.makes_extras and not self.has_failed
+
+    @property
+    def holds_volumes(self) -> bool:
+        """Whether volumes lie in the memory of this process: they do if the CPU takes over, of which it is said."""
+        return False
 
     def fall_back(self, error: ChromapertureError) -> None:
         """Go on with the CPU, which is said once, or raise the error."""
