@@ -75,7 +75,9 @@ def real_time_chain(design: str, labelled: bool, cell_px: int = 2) -> tuple[Chai
     chain = Chain(open_device("gpu"))
     label_map = labels_of(SHAPE) if labelled else IDENTITY
     image = chain.array("image", 3 * SHAPE[0] * SHAPE[1])
-    add_real_time(chain, image, SHAPE, real_time_of(design, cell_px), method_of(design).space, label_map)
+    add_real_time(
+        chain, image, SHAPE, replace(method_of(design), config=real_time_of(design, cell_px), label_map=label_map)
+    )
     return chain, label_map
 
 
@@ -248,7 +250,7 @@ def paper_chain(design: str) -> Chain:
 
 def paper_chain_on(device: Device, design: str) -> Chain:
     chain = Chain(device)
-    add_paper(chain, chain.array("image", 3 * SHAPE[0] * SHAPE[1]), SHAPE, PAPER, method_of(design, PAPER).space)
+    add_paper(chain, chain.array("image", 3 * SHAPE[0] * SHAPE[1]), SHAPE, method_of(design, PAPER))
     return chain
 
 
@@ -258,7 +260,7 @@ def test_chunks_of_cells_change_nothing(design, monkeypatch):
     whole = run(real_time_chain(design, False)[0], image, SHAPE, ["disparity"]).arrays["disparity"]
     monkeypatch.setattr(correlation_stages, "_CHUNK_BYTES", 4 * 40 * 50 * 4)  # some four entries, with what is padded
     chain, method = Chain(open_device("gpu")), method_of(design)
-    add_real_time(chain, chain.array("image", image.size), SHAPE, method.config, method.space, IDENTITY)
+    add_real_time(chain, chain.array("image", image.size), SHAPE, method)
     assert len(chain.dispatches) > len(real_time_chain(design, False)[0].dispatches)
     np.testing.assert_array_equal(run(chain, image, SHAPE, ["disparity"]).arrays["disparity"], whole)
 
@@ -298,7 +300,7 @@ def test_paths_need_no_subgroups():
     quad = real_time_chain("cy_halves", False)[0].run({"image": image}, names)
     chain = Chain(replace(device, subgroups=False))  # invocations of a path share memory
     method = method_of("cy_halves")
-    add_real_time(chain, chain.array("image", image.size), SHAPE, method.config, method.space, IDENTITY)
+    add_real_time(chain, chain.array("image", image.size), SHAPE, method)
     for name, values in chain.run({"image": image}, names).items():
         np.testing.assert_allclose(values, quad[name], rtol=0 if name == "winner" else 1e-5)
 

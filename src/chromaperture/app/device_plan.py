@@ -62,7 +62,7 @@ def make_plan(camera: CodedApertureCamera, exchange: str, facts: dict[str, Any])
     chain, size = PlannedChain(exchange), (calibration.sensor.height_px, calibration.sensor.width_px)  # type: ignore[arg-type]
     light, notes = light_of_counts(calibration)
     image = add_light_of_counts(chain, size, light)
-    add_real_time(chain, image, size, method.config, method.space, method.label_map)
+    add_real_time(chain, image, size, method)
     maps = ("disparity", "sigma")
     if camera.conversion is not None:
         add_conversion(chain, chain.arrays["disparity"], chain.arrays["sigma"], camera.conversion)

@@ -69,6 +69,15 @@ class Evidence(Protocol):
         """
 
 
+class Prepared(NamedTuple):
+    """A photograph as it is matched, (H, W, 3) and (H, W) float32."""
+
+    image: np.ndarray  # clipped areas filled, see `clipped_filled`
+    usable: np.ndarray  # 1 or 0
+    guide: np.ndarray  # see `Views.guide`
+    variance: np.ndarray  # of the image's noise
+
+
 class PathSurface(NamedTuple):
     """What paths through the volume leave of it."""
 
@@ -90,16 +99,20 @@ class AccurateMethod(Method):
 
     def match(self, image: np.ndarray) -> Disparity:
         """Return the disparity of an image (H, W, 3)."""
-        views = filtered_views(image, self.space, config=self.config.views)
-        image, usable = clipped_filled(image, views.mask)
-        variance = self.evidence.noise.variance(image)  # once: all stages that follow need it
+        image, usable, guide, variance = self.prepared(image)
         likelihood = self.evidence.at(image, self.config.layers.values_px, self.labels_px, noise_variance=variance)
         if not usable.all():
             each_band(
                 lambda rows: np.multiply(likelihood[rows], usable[rows, :, None], out=likelihood[rows]), len(usable)
             )
-        found = path_surface(likelihood, views.guide, self.labels_px, config=self.config, run=self.run)
+        found = path_surface(likelihood, guide, self.labels_px, config=self.config, run=self.run)
         return self.from_paths(found, image, usable, depth_edges_of(image))
+
+    def prepared(self, image: np.ndarray) -> Prepared:
+        """Return what is matched of an image (H, W, 3)."""
+        views = filtered_views(image, self.space, config=self.config.views)
+        image, usable = clipped_filled(image, views.mask)
+        return Prepared(image, usable, views.guide, self.evidence.noise.variance(image))
 
     @property
     def labels_px(self) -> np.ndarray:

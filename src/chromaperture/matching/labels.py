@@ -37,6 +37,10 @@ class LabelMap(NamedTuple):
         offset, scale = (np.ascontiguousarray(part[::2, ::2], np.float32) for part in self)
         return LabelMap(offset / 2, scale)
 
+    def first_layer(self, layers_px: np.ndarray) -> np.ndarray:
+        """Return where the label of the first of some layers lies at every pixel, in layers from that one."""
+        return np.asarray((self.offset_px + (self.scale - 1) * layers_px[0]) / float(layers_px[1] - layers_px[0]))
+
     def of_cells(self, cell_px: int) -> LabelMap:
         """Return the map at every so manyth pixel; disparities stay as they are."""
         return LabelMap(*(np.ascontiguousarray(part[::cell_px, ::cell_px]) for part in self))

@@ -44,13 +44,22 @@ class PaperMethod(Method):
         disparity = np.where(known, winner.disparity_px, np.float32(np.nan))
         at_edges = np.float32(config.edge_share) * local_range(disparity, EDGE_REACH_PX)
         wider = np.hypot(sigma, at_edges)
-        hue_share = np.float32(config.hue_share * mixed_share(self.space.rows))
-        if hue_share > 0:
+        if self.hue_share > 0:
             unlike = unlike_share(views.pictures, disparity, self.space.directions)
-            wider = np.hypot(wider, hue_share * widest * unlike)
+            wider = np.hypot(wider, np.float32(self.hue_share) * widest * unlike)
         found = Surface(disparity, wider, winner.peak)
-        sigma = np.minimum(surface_sigma(found, floor_px=config.floor_px / moved_px(self.space.directions)), widest)
+        sigma = np.minimum(surface_sigma(found, floor_px=self.floor_px), widest)
         return Disparity(disparity, sigma, confidence(sigma, winner.peak))
+
+    @property
+    def floor_px(self) -> float:
+        """Least standard deviation of a disparity."""
+        return self.config.floor_px / moved_px(self.space.directions)
+
+    @property
+    def hue_share(self) -> float:
+        """Share of the range's standard deviation that unlike views add to the error bar."""
+        return self.config.hue_share * mixed_share(self.space.rows)
 
 
 CELL_PX = 4  # side of the squares whose mean and variance the window sums; chosen by hand, for speed

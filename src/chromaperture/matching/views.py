@@ -343,8 +343,13 @@ def smooth(image: np.ndarray, sigma_px: float, *, out: np.ndarray | None = None)
 def _guide_scale(guide: np.ndarray, config: ViewsConfig) -> np.float32:
     """Return the factor that brings a guide to units of ``guide_range``."""
     sparse = percentile_spacing(guide.size)
-    low, high = np.percentile(guide[::sparse, ::sparse], (1, 99))
-    return np.float32(1 / (max(float(high - low), 1e-6) * config.guide_range))  # 1e-6: an even guide
+    return np.float32(guide_unit(guide[::sparse, ::sparse], config))
+
+
+def guide_unit(guide: np.ndarray, config: ViewsConfig) -> float:
+    """Return the factor that brings a guide to units of ``guide_range``, by all its pixels."""
+    low, high = np.percentile(guide, (1, 99))
+    return 1 / (max(float(high - low), 1e-6) * config.guide_range)  # 1e-6: an even guide
 
 
 def percentile_spacing(pixels: int) -> int:

@@ -16,7 +16,7 @@ from chromaperture.color.saturation_kernels import mark_cut_off
 from chromaperture.matching.execution import Execution
 from chromaperture.matching.readable.upsample import Coarse
 from chromaperture.matching.result import Disparity, Method
-from chromaperture.matching.views import guide_weights
+from chromaperture.matching.views import guide_unit, guide_weights
 from chromaperture.optics.aperture import Aperture
 from chromaperture.settings.methods import MatcherConfig
 
@@ -37,8 +37,7 @@ class ScaledMethod(Method):
         found = self.method.match(small)
         rgb = guide_weights(self.aperture)
         guide = np.nan_to_num(small @ rgb.astype(np.float32))
-        low, high = np.percentile(guide, (1, 99))
-        unit = 1 / (max(float(high - low), 1e-6) * self.config.views.guide_range)  # 1e-6: an even guide
+        unit = guide_unit(guide, self.config.views)
         return Disparity(*self.run.upsample(coarse_maps(found, guide * np.float32(unit)), image, rgb * unit))
 
     @property
