@@ -1,4 +1,4 @@
-"""Train the network that finds depth edges in a photograph, and write ``matching/depth_edges.onnx``.
+"""Train the network that finds depth edges in a photograph, and write ``matching/planes/depth_edges.onnx``.
 
     python benchmarks/edge_scenes.py --out scenes --first 3 --cameras 87
     python benchmarks/edge_training.py scenes --minutes 28 --aside 10 --write

@@ -1,4 +1,4 @@
-"""Find the weights of the learned error bar of `accurate`, and write ``disparity/learned_error_bar.json``.
+"""Find the weights of the learned error bar of `accurate`, and write ``matching/learned_error_bar.json``.
 
     python benchmarks/world_scenes.py cameras --out cameras
     python benchmarks/world_scenes.py draw --out pictures

@@ -15,9 +15,8 @@ from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
 from chromaperture.matching.estimate import estimate_disparity
 from chromaperture.matching.evidence.blur import SPACING_PX, BlurEvidence
 from chromaperture.matching.execution import execution_named
-from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.labels import IDENTITY, parabola_winner
 from chromaperture.matching.result import ESTIMATED_NOISE
-from chromaperture.matching.winner import parabola_winner
 from chromaperture.optics.aperture import DESIGNS, aperture_figures, film_unmixing, made_of
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil

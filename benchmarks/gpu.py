@@ -26,6 +26,7 @@ from chromaperture.camera.method import default_config
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.matching.device.accurate_chain import AccurateChain
 from chromaperture.matching.device.device import Chain, pass_times_ms, stage_times_ms
+from chromaperture.matching.device.gpu_method import device_method
 from chromaperture.products.samples import open_sample
 from chromaperture.system.errors import CaptureWarning
 from chromaperture.system.threads import limited_threads, thread_count
@@ -42,7 +43,7 @@ def on_device(camera: CodedApertureCamera, device: str) -> CodedApertureCamera:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CaptureWarning)  # the device is software
         found = CodedApertureCamera(camera.calibration, camera.config, device=device)
-    if found.device_method is None:
+    if device_method(found.method) is None:
         raise SystemExit(f"--device {device} is the CPU here: see 'chromaperture info --devices'")
     return found
 
@@ -84,8 +85,9 @@ def warmed(work: Callable[[], object]) -> None:
 
 def chain_of(camera: CodedApertureCamera) -> Chain:
     """The chain that a camera's device has composed."""
-    assert camera.device_method is not None
-    composed = camera.device_method.on_gpu._chain
+    method = device_method(camera.method)
+    assert method is not None
+    composed = method.on_gpu._chain
     chain = composed.chain if isinstance(composed, AccurateChain) else composed
     assert chain is not None
     return chain

@@ -24,11 +24,10 @@ from chromaperture.color.lens_shift import LensShift
 from chromaperture.effects.refocusing import Focus, bokeh_kernel, bokeh_mask, refocus
 from chromaperture.matching.accurate import AccurateMethod, explained_surface, path_surface
 from chromaperture.matching.execution import execution_named
-from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.labels import IDENTITY, Surface
 from chromaperture.matching.planes.block_surface import depth_edges_of
 from chromaperture.matching.real_time import RealTimeMethod
 from chromaperture.matching.views import filtered_views, halved, view_spaces
-from chromaperture.matching.winner import Surface
 from chromaperture.optics.aperture import Aperture, design_named
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.products.samples import open_sample

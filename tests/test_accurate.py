@@ -9,11 +9,10 @@ from chromaperture.matching.accurate import AccurateMethod, explained_surface, p
 from chromaperture.matching.error_bar import surface_sigma
 from chromaperture.matching.evidence.correlation import CorrelationEvidence, log_likelihood
 from chromaperture.matching.execution import execution_named
-from chromaperture.matching.labels import IDENTITY, LabelMap, label_map
+from chromaperture.matching.labels import IDENTITY, LabelMap, Surface, label_map
 from chromaperture.matching.readable.correlation import three_view_score
 from chromaperture.matching.result import ESTIMATED_NOISE
 from chromaperture.matching.views import ViewSpace
-from chromaperture.matching.winner import Surface
 from chromaperture.settings.methods import AccurateConfig
 from chromaperture.settings.stages import (
     CorrelationConfig,

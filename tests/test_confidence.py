@@ -9,7 +9,7 @@ import pytest
 
 from chromaperture.matching.error_bar import confidence, effective_samples, peak_sigma, sigma_of_range
 from chromaperture.matching.estimate import estimate_disparity
-from chromaperture.matching.winner import Winner
+from chromaperture.matching.labels import Winner
 from chromaperture.settings.methods import PaperConfig, preset
 from chromaperture.settings.stages import BilateralConfig, CorrelationConfig
 from worlds import LAYOUT, NARROW, capture, measured, texture

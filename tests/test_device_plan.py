@@ -174,7 +174,7 @@ def test_a_plan_is_the_chain_that_python_runs(camera):
     text, array = unpacked(make_plan(camera, exchange, {}))
     chain, size = Chain(open_device("gpu")), SIZE_PX[::-1]
     image = chain.array("image", 3 * size[0] * size[1])
-    add_real_time(chain, image, size, camera.method.config, camera.method.space, camera.method.label_map)
+    add_real_time(chain, image, size, camera.method)
     add_conversion(chain, chain.arrays["disparity"], chain.arrays["sigma"], camera.conversion)
     planned = [
         (step["stage"], text["sources"][step["source"]], tuple(step["groups"]), tuple(step["arrays"]))

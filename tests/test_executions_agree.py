@@ -21,14 +21,13 @@ from chromaperture.matching import compiled as cpu
 from chromaperture.matching import readable as stages
 from chromaperture.matching.estimate import estimate_disparity
 from chromaperture.matching.execution import Execution, execution_named
-from chromaperture.matching.labels import IDENTITY, LabelMap, labels_between
+from chromaperture.matching.labels import IDENTITY, LabelMap, PathWinner, Surface, labels_between
 from chromaperture.matching.readable.correlation import SCORE_PARTS, exponential_window
 from chromaperture.matching.readable.cross_filter import Tile
 from chromaperture.matching.readable.four_paths import log_likelihood, scores_at_labels, summed_costs
 from chromaperture.matching.real_time import RealTimeMethod
 from chromaperture.matching.views import Views, filtered_views, halved_views
 from chromaperture.matching.whole_light import in_whole_units
-from chromaperture.matching.winner import PathWinner, Surface
 from chromaperture.optics.lens_blur import BlurModel, Rays, splat
 from chromaperture.settings.methods import AccurateConfig, PaperConfig, RealTimeConfig, preset
 from chromaperture.settings.stages import (

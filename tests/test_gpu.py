@@ -19,9 +19,8 @@ from chromaperture.depth.conversion import DepthModel
 from chromaperture.matching.device import device as device_file
 from chromaperture.matching.device.device import AdapterInfo, DeviceError, adapters, open_device
 from chromaperture.matching.device.gpu_method import DeviceMethod, GpuMethod, chosen_device, on_device
-from chromaperture.matching.device.measured import Extras
 from chromaperture.matching.estimate import method_for
-from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.result import Extras
 from chromaperture.settings.methods import PaperConfig, RealTimeConfig
 from chromaperture.settings.stages import CorrelationConfig
 from chromaperture.system.errors import (
@@ -101,7 +100,7 @@ def test_depth_is_that_of_the_readable_stages(quality, least):
 def test_small_odd_and_narrow_pictures(shape, config, design, rng):
     image = rng.uniform(0.1, 0.9, (*shape, 3)).astype(np.float32)
     method = method_for(config, aperture=design, execution="numpy")
-    device_method = GpuMethod(config, method.space, IDENTITY, open_device("gpu"))
+    device_method = GpuMethod(method, open_device("gpu"))
     if shape == (1, 1):  # one pixel has no texture
         for each in (method, device_method):
             with pytest.raises(InputError, match="constant"):
@@ -131,7 +130,7 @@ def test_a_picture_without_anything_to_match_is_refused_as_on_the_cpu(fill, word
 @needs_device
 def test_two_frames_are_under_way_at_a_time_and_keep_their_order():
     method, image = real_time()
-    whole = GpuMethod(REAL_TIME, method.space, IDENTITY, open_device("gpu"))
+    whole = GpuMethod(method, open_device("gpu"))
     chain = whole._composed(SHAPE, Extras())
     other = wavy_capture("cy_halves", shape=SHAPE, seed=8)
     one_by_one = [chain.run({"image": each}, ["disparity"])["disparity"] for each in (image, other)]
@@ -169,7 +168,7 @@ def test_a_device_lost_with_two_frames_under_way_leaves_both_to_the_cpu():
     method, image = real_time()
     other = wavy_capture("cy_halves", shape=SHAPE, seed=8)
     device = device_of_its_own()
-    on_both = DeviceMethod(GpuMethod(REAL_TIME, method.space, IDENTITY, device), method, may_fall_back=True)
+    on_both = DeviceMethod(GpuMethod(method, device), method, may_fall_back=True)
     pending = [on_both.start(each) for each in (image, other)]
     device.handle.destroy()
     with pytest.warns(CaptureWarning, match="on the CPU from here on") as said:
@@ -186,7 +185,7 @@ def test_a_device_lost_in_mid_stream_is_an_error_or_the_cpu_once():
     expected = method.match(image)
     for may_fall_back in (False, True):
         device = device_of_its_own()
-        on_both = DeviceMethod(GpuMethod(REAL_TIME, method.space, IDENTITY, device), method, may_fall_back)
+        on_both = DeviceMethod(GpuMethod(method, device), method, may_fall_back)
         before = on_both.match(image)
         device.handle.destroy()
         if not may_fall_back:
@@ -205,7 +204,7 @@ def test_a_device_lost_in_mid_stream_is_an_error_or_the_cpu_once():
 def test_too_little_device_memory_is_an_error_or_the_cpu():
     method, image = real_time()
     small = replace(open_device("gpu"), largest_bytes=20_000)
-    on_gpu = GpuMethod(REAL_TIME, method.space, IDENTITY, small)
+    on_gpu = GpuMethod(method, small)
     with pytest.raises(OutOfMemoryError, match="larger than the device's 0 MB; use --device cpu, or --scale"):
         DeviceMethod(on_gpu, method, may_fall_back=False).match(image)
     with pytest.warns(CaptureWarning, match="on the CPU from here on"):
@@ -219,11 +218,11 @@ def test_too_little_device_memory_is_an_error_or_the_cpu():
 def test_a_device_of_small_arrays_takes_fewer_layers_at_a_time(design):
     config = PaperConfig().with_range(-3.0, 3.0)
     image = wavy_capture(design, shape=SHAPE)
-    space = method_for(config, aperture=design).space
-    large = GpuMethod(config, space, IDENTITY, open_device("gpu"))
+    method = method_for(config, aperture=design)
+    large = GpuMethod(method, open_device("gpu"))
     expected = large.match(image).value_px
     most = 4 * max(array.size for array in large._chain.arrays.values())
-    small = GpuMethod(config, space, IDENTITY, replace(open_device("gpu"), largest_bytes=most - 1))
+    small = GpuMethod(method, replace(open_device("gpu"), largest_bytes=most - 1))
     found = small.match(image).value_px
     chunks = [sum(d.stage == "running_winner" for d in each._chain.dispatches) for each in (large, small)]
     assert chunks[1] > chunks[0]

@@ -12,9 +12,9 @@ from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.matching.device.accurate_chain import AccurateOnDevice
 from chromaperture.matching.device.device import DeviceError
 from chromaperture.matching.device.gpu_method import DeviceMethod
-from chromaperture.matching.device.measured import Extras
 from chromaperture.matching.estimate import method_for
 from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.result import Extras
 from chromaperture.products.samples import open_sample
 from chromaperture.settings.methods import AccurateConfig
 from chromaperture.system.errors import CaptureWarning, InputError, OutOfMemoryError
@@ -127,7 +127,7 @@ def test_a_device_lost_in_mid_stream_is_an_error_or_the_cpu_once():
     for may_fall_back in (False, True):
         device = device_of_its_own()
         on_both = DeviceMethod(AccurateOnDevice(camera.method, device), camera.method, may_fall_back)
-        measured = on_both.measure(image, Extras(camera.conversion, camera.device_alignment))
+        measured = on_both.start(image, Extras(camera.conversion, camera.alignment.numbers)).result()
         assert np.isfinite(measured.disparity.value_px).any()
         assert measured.depth_mm is None  # the CPU makes what is asked for besides
         assert measured.color is None

@@ -18,7 +18,8 @@ from chromaperture.camera.method import default_config
 from chromaperture.color.alignment import align_channels, fill_unknown, white_balance
 from chromaperture.color.row_alignment import visible_from
 from chromaperture.matching.device.device import Chain, open_device
-from chromaperture.matching.device.measured import Alignment, Extras, add_alignment, add_extras
+from chromaperture.matching.device.measured import add_alignment, add_extras
+from chromaperture.matching.result import Alignment, Extras
 from chromaperture.products.samples import open_sample
 from chromaperture.system.errors import CaptureWarning
 from devices import needs_device
@@ -134,13 +135,13 @@ def chain_behind_disparity(size: tuple[int, int], extras: Extras) -> Chain:
 @pytest.mark.parametrize("name", ["still_life_cy_halves", "still_life_cy_open"])
 def test_channels_displaced_by_the_lens_are_aligned_as_by_the_cpu(name, scale, rng):
     camera, image = camera_of(name, scale)
-    assert camera.device_alignment.lens.exact == (scale == 1)
+    assert camera.alignment.numbers.lens.exact == (scale == 1)
     y, x = np.mgrid[: image.shape[0], : image.shape[1]]
     disparity = (0.6 * np.sin(x / 9) + rng.uniform(-2, 1) - (np.hypot(y - 40, x - 60) < 20)).astype(np.float32)
     disparity[rng.uniform(size=disparity.shape) < 0.1] = np.nan
     disparity[5:30, 90:120] = np.nan
     expected = camera.alignment.align(image, disparity)
-    chain = chain_behind_disparity(disparity.shape, Extras(None, camera.device_alignment))
+    chain = chain_behind_disparity(disparity.shape, Extras(None, camera.alignment.numbers))
     found = chain.run({"image": image, "disparity": disparity}, ["color"])["color"].reshape(image.shape)
     error = np.abs(found - expected)
     # Lanczos' places are rounded to 1 / 32 px, and 32 bits round a few in a thousand to the next one.

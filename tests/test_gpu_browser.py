@@ -17,11 +17,10 @@ import pytest
 from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.matching.device.device import Chain, open_device
 from chromaperture.matching.device.gpu_method import GpuMethod
-from chromaperture.matching.device.measured import NO_EXTRAS, Conversion, Extras
 from chromaperture.matching.device.refocus_stages import RefocusChain, inputs_of
 from chromaperture.matching.device.surface_stages import Grid, add_block_sums, add_path_surface
 from chromaperture.matching.estimate import method_for
-from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.result import NO_EXTRAS, Conversion, Extras
 from chromaperture.settings.methods import RealTimeConfig
 from chromaperture.settings.stages import SurfaceConfig
 from devices import EXPECTED, needs_device
@@ -109,7 +108,7 @@ def test_a_frame_in_a_browser_is_that_of_python(design, moved, tmp_path, rng):
     method = method_for(config, aperture=design, channel_moves_px=moves, execution="numpy")
     image = wavy_capture(design, shape=SHAPE)
     image[3, 4] = np.nan
-    on_device = GpuMethod(config, method.space, IDENTITY, open_device("gpu"))
+    on_device = GpuMethod(method, open_device("gpu"))
     expected = on_device.match(image).value_px
     chain = on_device._composed(SHAPE, NO_EXTRAS)
     found = in_browser(recorded(chain, {"image": image}, "disparity"), tmp_path / "profile").reshape(SHAPE)
@@ -127,7 +126,7 @@ def test_colours_and_depth_of_a_disparity_in_a_browser(scale, tmp_path, rng):
     disparity[rng.uniform(size=disparity.shape) < 0.2] = np.nan
     field = camera.calibration.depth["accurate"]
     numbers = Conversion(*field.in_numbers(image.shape[1], image.shape[0]), 50_000.0)
-    chain = chain_behind_disparity(disparity.shape, Extras(numbers, camera.device_alignment))
+    chain = chain_behind_disparity(disparity.shape, Extras(numbers, camera.alignment.numbers))
     inputs = {"image": image, "disparity": disparity, "sigma": sigma}
     expected = chain.run(inputs, ["color", "depth_mm"])
     color = in_browser(recorded(chain, inputs, "color"), tmp_path / "one")

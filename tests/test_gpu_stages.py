@@ -17,18 +17,18 @@ from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.matching import readable as stages
 from chromaperture.matching.device import correlation_stages, shader_text
 from chromaperture.matching.device.device import Chain, Device, open_device, pass_times_ms, stage_times_ms
-from chromaperture.matching.device.measured import Conversion, add_conversion
+from chromaperture.matching.device.measured import add_conversion
 from chromaperture.matching.device.paper_chain import add_paper
 from chromaperture.matching.device.real_time_chain import add_real_time, add_recursions
 from chromaperture.matching.device.view_stages import Planes, add_views
 from chromaperture.matching.error_bar import without_two_views
 from chromaperture.matching.estimate import method_for
-from chromaperture.matching.labels import IDENTITY, LabelMap, labels_between
+from chromaperture.matching.labels import IDENTITY, LabelMap, PathWinner, Surface, labels_between
+from chromaperture.matching.paper import CELL_PX, mixed_share, unlike_share
 from chromaperture.matching.readable.correlation import SCORE_PARTS, exponential_window
 from chromaperture.matching.readable.place import halved_surface, place_by_correlation
-from chromaperture.matching.unlike_views import CELL_PX, mixed_share, unlike_share
+from chromaperture.matching.result import Conversion
 from chromaperture.matching.views import FILL_UNITS, Views, filtered_views, halved_views
-from chromaperture.matching.winner import PathWinner, Surface
 from chromaperture.settings.methods import PaperConfig, RealTimeConfig
 from devices import needs_device
 from worlds import wavy_capture
@@ -75,7 +75,9 @@ def real_time_chain(design: str, labelled: bool, cell_px: int = 2) -> tuple[Chai
     chain = Chain(open_device("gpu"))
     label_map = labels_of(SHAPE) if labelled else IDENTITY
     image = chain.array("image", 3 * SHAPE[0] * SHAPE[1])
-    add_real_time(chain, image, SHAPE, real_time_of(design, cell_px), method_of(design).space, label_map)
+    add_real_time(
+        chain, image, SHAPE, replace(method_of(design), config=real_time_of(design, cell_px), label_map=label_map)
+    )
     return chain, label_map
 
 
@@ -248,7 +250,7 @@ def paper_chain(design: str) -> Chain:
 
 def paper_chain_on(device: Device, design: str) -> Chain:
     chain = Chain(device)
-    add_paper(chain, chain.array("image", 3 * SHAPE[0] * SHAPE[1]), SHAPE, PAPER, method_of(design, PAPER).space)
+    add_paper(chain, chain.array("image", 3 * SHAPE[0] * SHAPE[1]), SHAPE, method_of(design, PAPER))
     return chain
 
 
@@ -258,7 +260,7 @@ def test_chunks_of_cells_change_nothing(design, monkeypatch):
     whole = run(real_time_chain(design, False)[0], image, SHAPE, ["disparity"]).arrays["disparity"]
     monkeypatch.setattr(correlation_stages, "_CHUNK_BYTES", 4 * 40 * 50 * 4)  # some four entries, with what is padded
     chain, method = Chain(open_device("gpu")), method_of(design)
-    add_real_time(chain, chain.array("image", image.size), SHAPE, method.config, method.space, IDENTITY)
+    add_real_time(chain, chain.array("image", image.size), SHAPE, method)
     assert len(chain.dispatches) > len(real_time_chain(design, False)[0].dispatches)
     np.testing.assert_array_equal(run(chain, image, SHAPE, ["disparity"]).arrays["disparity"], whole)
 
@@ -298,7 +300,7 @@ def test_paths_need_no_subgroups():
     quad = real_time_chain("cy_halves", False)[0].run({"image": image}, names)
     chain = Chain(replace(device, subgroups=False))  # invocations of a path share memory
     method = method_of("cy_halves")
-    add_real_time(chain, chain.array("image", image.size), SHAPE, method.config, method.space, IDENTITY)
+    add_real_time(chain, chain.array("image", image.size), SHAPE, method)
     for name, values in chain.run({"image": image}, names).items():
         np.testing.assert_allclose(values, quad[name], rtol=0 if name == "winner" else 1e-5)
 
@@ -332,7 +334,6 @@ def both_ways(maps, links, gain=0.7, own=0.4):
             state = (gain if n else 1.0) * maps[:, i] + link * state
             sums[:, i] += state
     return sums
-
 
 
 @pytest.mark.parametrize(

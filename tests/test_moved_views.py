@@ -16,9 +16,8 @@ from chromaperture.depth.conversion import DepthModel
 from chromaperture.matching.device.device import open_device
 from chromaperture.matching.device.gpu_method import GpuMethod
 from chromaperture.matching.estimate import estimate_disparity, method_for
-from chromaperture.matching.labels import IDENTITY
-from chromaperture.matching.moved_views import MOVE_PARTS, halved_moves, moved, pixel_maps
 from chromaperture.matching.views import channel_space, halved_views
+from chromaperture.matching.whole_light import MOVE_PARTS, halved_moves, moved, pixel_maps
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Film
 from chromaperture.model.scale import resized
@@ -164,7 +163,7 @@ def test_a_device_samples_the_same_views(hole, rng):
         image[30:36, 40:47] = np.nan
     method = method_for(SMALL, aperture="rgb_squares", channel_moves_px=values, execution="numpy")
     views, _ = halved_views(image, method.space, config=method.config.views)
-    on_device = GpuMethod(method.config, method.space, IDENTITY, open_device("gpu"))
+    on_device = GpuMethod(method, open_device("gpu"))
     found = on_device.match(image)
     planes = on_device._chain.run({"image": image}, ["planes"])["planes"].reshape(5, *views.mask.shape)[:3]
     expected = np.moveaxis(views.pictures, -1, 0)

@@ -14,7 +14,7 @@ from chromaperture.matching import compiled as cpu
 from chromaperture.matching import readable as stages
 from chromaperture.matching.error_bar import sigma_of_range
 from chromaperture.matching.estimate import estimate_disparity
-from chromaperture.matching.labels import IDENTITY, LabelMap, labels_between
+from chromaperture.matching.labels import IDENTITY, LabelMap, PathWinner, labels_between
 from chromaperture.matching.readable.correlation import of_own_sign
 from chromaperture.matching.readable.place import (
     BIAS,
@@ -25,7 +25,6 @@ from chromaperture.matching.readable.place import (
     place_by_correlation,
 )
 from chromaperture.matching.views import Views, channel_space
-from chromaperture.matching.winner import PathWinner
 from chromaperture.optics.aperture import DESIGNS, centroids, made_of
 from chromaperture.settings.methods import RealTimeConfig
 from chromaperture.settings.stages import CorrelationConfig, LayersConfig

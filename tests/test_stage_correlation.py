@@ -19,8 +19,7 @@ from chromaperture.matching.readable.correlation import (
     texture_weights,
     three_view_score,
 )
-from chromaperture.matching.view_noise import ViewNoise
-from chromaperture.matching.views import Views, smooth
+from chromaperture.matching.views import ViewNoise, Views, smooth
 from chromaperture.settings.stages import CorrelationConfig
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from chromaperture.matching.unlike_views import CELL_PX, WINDOW_CELLS, cell_moments, mixed_share, unlike_share
+from chromaperture.matching.paper import CELL_PX, WINDOW_CELLS, cell_moments, mixed_share, unlike_share
 from chromaperture.settings.methods import PaperConfig
 from worlds import LAYOUT, capture, measured, moved, space_of, texture
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from chromaperture.matching.clipped_areas import clipped_filled
 from chromaperture.matching.error_bar import MAX_SIGMA_PX, sigma_of_range, widened, without_pixels, without_two_views
 from chromaperture.matching.estimate import estimate_disparity
+from chromaperture.matching.views import clipped_filled
 from chromaperture.settings.methods import preset
 from worlds import capture, texture
 

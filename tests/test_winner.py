@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chromaperture.matching.winner import parabola_winner
+from chromaperture.matching.labels import parabola_winner
 
 
 @given(peak_at=st.floats(-2.9, 2.9), height=st.floats(0.1, 1), bend=st.floats(0.01, 0.5), costs=st.booleans())

@@ -30,9 +30,8 @@ from chromaperture.matching.device.picture_stages import (
     row_pitch,
 )
 from chromaperture.matching.device.real_time_chain import add_real_time
-from chromaperture.matching.nothing_to_match import constant_view, no_usable_pixel
 from chromaperture.matching.real_time import RealTimeMethod
-from chromaperture.matching.views import CONSTANT
+from chromaperture.matching.views import CONSTANT, constant_view, no_usable_pixel
 from chromaperture.model.camera_file import Calibration
 from chromaperture.settings.methods import Quality
 from chromaperture.system.errors import InputError
@@ -63,7 +62,7 @@ def make_plan(camera: CodedApertureCamera, exchange: str, facts: dict[str, Any])
     chain, size = PlannedChain(exchange), (calibration.sensor.height_px, calibration.sensor.width_px)  # type: ignore[arg-type]
     light, notes = light_of_counts(calibration)
     image = add_light_of_counts(chain, size, light)
-    add_real_time(chain, image, size, method.config, method.space, method.label_map)
+    add_real_time(chain, image, size, method)
     maps = ("disparity", "sigma")
     if camera.conversion is not None:
         add_conversion(chain, chain.arrays["disparity"], chain.arrays["sigma"], camera.conversion)

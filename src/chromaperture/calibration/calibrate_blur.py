@@ -21,12 +21,11 @@ from chromaperture.camera.method import sensor_noise
 from chromaperture.color.lens_shift import LensShift, least_fringes
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.field import DepthField
-from chromaperture.matching.clipped_areas import clipped_filled
 from chromaperture.matching.evidence.blur import SPACING_PX, BlurEvidence
 from chromaperture.matching.execution import ExecutionName, execution_named
 from chromaperture.matching.labels import IDENTITY
 from chromaperture.matching.result import ESTIMATED_NOISE, NoiseModel
-from chromaperture.matching.views import channel_space, mixed, view_spaces
+from chromaperture.matching.views import channel_space, clipped_filled, mixed, view_spaces
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import Aperture
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil, traced

@@ -19,6 +19,7 @@ from chromaperture.color.alignment import (
 from chromaperture.color.lens_shift import LensMoves, LensShift
 from chromaperture.color.row_alignment import aligned_bands, row_moves
 from chromaperture.depth.conversion import DepthModel, disparity_to_inverse_depth
+from chromaperture.matching.result import Alignment
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.scale import at_scale
 from chromaperture.settings.methods import Config, Quality
@@ -45,6 +46,12 @@ class ChannelAlignment:
     def depth_model(self) -> DepthModel | None:
         """Curve of the disparities that are measured; None for a camera that was never calibrated."""
         return self.calibration.depth_model(self.config.quality) if self.calibration.is_calibrated else None
+
+    @cached_property
+    def numbers(self) -> Alignment:
+        """What `align` needs, for a method that aligns as it measures."""
+        white = np.asarray(self.calibration.film.aperture, float)
+        return Alignment(np.asarray(self.shifts, float), white.max() / white, round(self.config.scale), self.lens_moves)
 
     def align(self, image: np.ndarray, disparity_px: np.ndarray) -> np.ndarray:
         """Align the channels and white balance them.

@@ -22,10 +22,7 @@ from chromaperture.color.image import checked_image
 from chromaperture.depth.conversion import DepthModel, disparity_to_depth
 from chromaperture.depth.field import field_to_depth
 from chromaperture.frame.depth_frame import DepthFrame
-from chromaperture.matching.device.device import Pending
-from chromaperture.matching.device.gpu_method import DeviceMethod, device_method
-from chromaperture.matching.device.measured import Alignment, Conversion, Extras, Measured
-from chromaperture.matching.result import Disparity
+from chromaperture.matching.result import NO_EXTRAS, Conversion, Disparity, Extras, Measured, Pending
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.scale import SAME_SCALE, resized
 from chromaperture.settings.methods import Config, ExecutionName, Quality
@@ -36,17 +33,23 @@ _WHOLE_PX = 4_000_000  # pictures up to this size keep the curves of every pixel
 StageTimer = Callable[[str], AbstractContextManager[None]]
 
 
-class Begun(NamedTuple):
-    """A photograph that a camera has begun to measure: see `CodedApertureCamera.begin`."""
+class Checked(NamedTuple):
+    """A photograph that can be measured."""
 
-    camera: CodedApertureCamera  # that measures it
     # ``known``, ``image``: (H, W, 3) float32: the whole frame. Outside of what the photograph shows, ``known`` is NaN,
     # and ``image`` repeats its border.
     known: np.ndarray
     image: np.ndarray
     size_px: tuple[int, int]  # (int, int): width and height of the photograph
-    pending: Pending[Measured] | None = None  # what a device has begun
-    on_disk: bool = False  # whether its volumes do not fit into memory
+    on_disk: bool  # whether its volumes do not fit into memory
+
+
+class Begun(NamedTuple):
+    """A photograph that a camera has begun to measure: see `CodedApertureCamera.begin`."""
+
+    camera: CodedApertureCamera  # that measures it
+    checked: Checked
+    pending: Pending[Measured]
 
 
 class CodedApertureCamera:
@@ -125,20 +128,15 @@ class CodedApertureCamera:
         if self._is_of_another_size(image):
             return self._resized_to(image).measure(image, stage=stage)
         with stage("check"):
-            begun = self._checked(image)
+            checked = self._checked(image)
         with stage("disparity"):  # Eq. (1) and section 3.1
-            measured = self._matched(begun)
-        return self._completed(begun, measured, stage)
+            measured = self._matched(self._begun(checked))
+        return self._completed(checked, measured, stage)
 
     @property
     def measures_ahead(self) -> bool:
         """Whether a photograph can be computed while the one before is read back: see `begin`."""
-        return isinstance(self.method, DeviceMethod)
-
-    @property
-    def device_method(self) -> DeviceMethod | None:
-        """What works on a device; None on the CPU."""
-        return device_method(self.method)
+        return self.method.works_ahead
 
     def begin(self, image: np.ndarray) -> Begun:
         """Send a photograph of a stream to the device, and return at once; as `measure` otherwise.
@@ -152,10 +150,7 @@ class CodedApertureCamera:
         image = checked_image(image)
         if self._is_of_another_size(image):
             return self._resized_to(image).begin(image)
-        begun = self._checked(image)
-        if not isinstance(self.method, DeviceMethod):
-            return begun
-        return begun._replace(pending=self.method.start(begun.known, self._extra_outputs(begun)))
+        return self._begun(self._checked(image))
 
     def complete(self, begun: Begun, *, meanwhile: Callable[[], None] = lambda: None) -> DepthFrame:
         """Return the measurement of a photograph that was begun; raises as `measure`.
@@ -170,7 +165,7 @@ class CodedApertureCamera:
         camera = begun.camera
         measured = camera._matched(begun)
         meanwhile()
-        return camera._completed(begun, measured, lambda name: nullcontext())
+        return camera._completed(begun.checked, measured, lambda name: nullcontext())
 
     def _is_of_another_size(self, image: np.ndarray) -> bool:
         """Return whether the image shows the whole frame in other pixels."""
@@ -185,18 +180,18 @@ class CodedApertureCamera:
         warnings.warn(self.scaled_note(size_px), CaptureWarning, stacklevel=3)
         return self.at_size(*size_px)
 
-    def _checked(self, image: np.ndarray) -> Begun:
+    def _checked(self, image: np.ndarray) -> Checked:
         frame_px, size_px, origin_px = self._frame_px, image.shape[1::-1], self.config.crop_origin_px
         image = check_capture(image, *(frame_px if origin_px is None else size_px))
         if self.config.quality == "accurate":  # the others' windows outweigh a pixel
             image = repaired(image, self.calibration)
-        on_disk = volumes_go_to_disk(self.calibration, self.config, is_said=self.device_method is None)
+        on_disk = volumes_go_to_disk(self.calibration, self.config, is_said=self.method.holds_volumes)
         known, whole = (image, image) if origin_px is None else in_whole_frame(image, origin_px, frame_px)
-        return Begun(self, known, whole, (size_px[0], size_px[1]), on_disk=on_disk)
+        return Checked(known, whole, (size_px[0], size_px[1]), on_disk)
 
-    def _completed(self, begun: Begun, measured: Measured, stage: StageTimer) -> DepthFrame:
-        """Return the measurement of a photograph whose disparity is known; what no device made is made here."""
-        image, origin_px, disparity = begun.image, self.config.crop_origin_px, measured.disparity
+    def _completed(self, checked: Checked, measured: Measured, stage: StageTimer) -> DepthFrame:
+        """Return the measurement of a photograph whose disparity is known; what the method left is made here."""
+        image, origin_px, disparity = checked.image, self.config.crop_origin_px, measured.disparity
         with stage("depth"):  # Eq. (10)
             depth_mm, sigma_mm = measured.depth_mm, measured.sigma_mm
             if depth_mm is None or sigma_mm is None:
@@ -211,7 +206,7 @@ class CodedApertureCamera:
             else:
                 color = self.alignment.align(image, disparity.value_px) if color is None else color
                 frame = DepthFrame(*maps, color, image, *made_by)
-        return frame if origin_px is None else cut_out(frame, origin_px, begun.size_px)
+        return frame if origin_px is None else cut_out(frame, origin_px, checked.size_px)
 
     @property
     def _frame_px(self) -> tuple[int, int]:
@@ -320,21 +315,24 @@ class CodedApertureCamera:
         model = cast(DepthModel, self.depth_model)
         return disparity_to_depth(pixels, model, sigma_px=disparity.sigma_px, max_depth_mm=most_mm)
 
-    def _matched(self, begun: Begun) -> Measured:
-        """Return the disparity, and what else the device made of it."""
-        with volumes_on_disk(begun.on_disk):  # those of the CPU
-            if isinstance(self.method, DeviceMethod):
-                return (begun.pending or self.method.start(begun.known, self._extra_outputs(begun))).result()
-            return Measured(self.method.match(begun.known))
+    def _begun(self, checked: Checked) -> Begun:
+        return Begun(self, checked, self.method.start(checked.known, self._extras))
 
-    def _extra_outputs(self, begun: Begun) -> Extras:
-        """Return which extra maps the device computes after disparity."""
-        is_whole = begun.known is begun.image  # of a part of the frame other pixels are matched than aligned
-        return Extras(self.conversion, self.device_alignment if is_whole else None)
+    def _matched(self, begun: Begun) -> Measured:
+        with volumes_on_disk(begun.checked.on_disk):
+            return begun.pending.result()
+
+    @property
+    def _extras(self) -> Extras:
+        """What is asked of the method besides the disparity."""
+        if not self.method.makes_extras:
+            return NO_EXTRAS
+        is_whole = self.config.crop_origin_px is None  # of a part of the frame other pixels are matched than aligned
+        return Extras(self.conversion, self.alignment.numbers if is_whole else None)
 
     @cached_property
     def conversion(self) -> Conversion | None:
-        """The curves of all pixels for a device; None where there are none."""
+        """The curves of all pixels, in numbers; None where there are none."""
         if not self.calibration.is_calibrated:
             return None
         width_px, height_px = self._frame_px
@@ -344,13 +342,6 @@ class CodedApertureCamera:
         fields, curve = cast(DepthModel, self.depth_model).tables
         parts = (fields.infinity_px, fields.scale_px_mm, fields.pupil_mm, *fields.covariance)
         return Conversion(parts, curve, self.config.depth.max_depth_mm)
-
-    @cached_property
-    def device_alignment(self) -> Alignment:
-        """What a device needs to align the channels as `ChannelAlignment.align` does."""
-        lens = self.alignment.lens_moves
-        white = np.asarray(self.calibration.film.aperture, float)
-        return Alignment(np.asarray(self.alignment.shifts, float), white.max() / white, round(self.config.scale), lens)
 
     def __repr__(self) -> str:
         return f"CodedApertureCamera({self.calibration.title}, quality {self.config.quality})"

@@ -81,7 +81,7 @@ def check_camera_memory(what: str, calibration: Calibration, config: Config) -> 
 def volumes_go_to_disk(calibration: Calibration, config: Config, *, is_said: bool) -> bool:
     """As `check_camera_memory` of a photograph that is about to be matched; warns where ``is_said``.
 
-    Of what a device matches it is not said: the device keeps the volumes, unless it fails and the CPU takes over.
+    It is not said where a device holds them, unless it fails and the CPU takes over.
     """
     on_disk = check_camera_memory("the photograph", calibration, config)
     if on_disk and is_said:

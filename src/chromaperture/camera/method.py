@@ -10,7 +10,6 @@ import numpy as np
 
 from chromaperture.color.image import without_defects
 from chromaperture.color.noise import noise_ratio, photon_noise_variance
-from chromaperture.matching.device.gpu_method import on_device
 from chromaperture.matching.estimate import method_for
 from chromaperture.matching.execution import execution_named
 from chromaperture.matching.labels import LabelMap, label_map
@@ -127,5 +126,7 @@ def scaled_method(
         method = ScaledMethod(method, config.matcher, size_px, working.aperture, execution_named(execution))
     if device == "cpu":
         return method
+    from chromaperture.matching.device.gpu_method import on_device  # its stages are not needed on the CPU
+
     pixels = calibration.sensor.width_px * calibration.sensor.height_px
     return on_device(method, device, lambda text: warnings.warn(text, CaptureWarning, stacklevel=4), pixels=pixels)

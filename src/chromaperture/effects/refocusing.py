@@ -30,7 +30,7 @@ from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
 from chromaperture.effects.layered_model import layer_radii
 from chromaperture.effects.refocusing_kernels import add_layer, layer_bounds, layer_planes, normalise, over_rows
 from chromaperture.matching.device.device import DeviceError
-from chromaperture.matching.device.gpu_method import DeviceMethod
+from chromaperture.matching.device.gpu_method import DeviceMethod, device_method
 from chromaperture.matching.device.refocus_stages import RefocusChain, RefocusLayer
 from chromaperture.optics.simulator.layer_renderer import behind_edges
 from chromaperture.system.errors import InputError, OutOfMemoryError
@@ -332,7 +332,8 @@ class DeviceCompositor:
 
 def compositor_of(camera: CodedApertureCamera) -> DeviceCompositor | None:
     """Return what refocuses on the device of a camera; None where it has none."""
-    return None if camera.device_method is None else DeviceCompositor(camera.device_method)
+    behind = device_method(camera.method)
+    return None if behind is None else DeviceCompositor(behind)
 
 
 _GRID = 256  # cells along a side of a mask; one or more a px of the largest blur of `refocus`, radius 120 px

@@ -8,7 +8,6 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from chromaperture.matching.clipped_areas import clipped_filled
 from chromaperture.matching.error_bar import (
     confidence,
     local_range,
@@ -20,7 +19,7 @@ from chromaperture.matching.error_bar import (
     without_two_views,
 )
 from chromaperture.matching.execution import Execution
-from chromaperture.matching.labels import LabelMap
+from chromaperture.matching.labels import LabelMap, Surface, parabola_winner
 from chromaperture.matching.learned_error_bar import learned_bar, signs
 from chromaperture.matching.planes.block_surface import (
     BlockSurface,
@@ -34,9 +33,8 @@ from chromaperture.matching.planes.block_surface import (
 from chromaperture.matching.planes.depth_edges import BLOCK_PX
 from chromaperture.matching.readable.between_layers import between_layers
 from chromaperture.matching.readable.paths import Posterior
-from chromaperture.matching.result import Disparity, NoiseModel
-from chromaperture.matching.views import ViewSpace, filtered_views
-from chromaperture.matching.winner import Surface, parabola_winner
+from chromaperture.matching.result import Disparity, Method, NoiseModel
+from chromaperture.matching.views import ViewSpace, clipped_filled, filtered_views
 from chromaperture.settings.methods import AccurateConfig
 from chromaperture.system.errors import InputError
 from chromaperture.system.threads import each_band
@@ -71,6 +69,15 @@ class Evidence(Protocol):
         """
 
 
+class Prepared(NamedTuple):
+    """A photograph as it is matched, (H, W, 3) and (H, W) float32."""
+
+    image: np.ndarray  # clipped areas filled, see `clipped_filled`
+    usable: np.ndarray  # 1 or 0
+    guide: np.ndarray  # see `Views.guide`
+    variance: np.ndarray  # of the image's noise
+
+
 class PathSurface(NamedTuple):
     """What paths through the volume leave of it."""
 
@@ -81,7 +88,7 @@ class PathSurface(NamedTuple):
 
 
 @dataclass(frozen=True)
-class AccurateMethod:
+class AccurateMethod(Method):
     """Find the surface of labels that explains the evidence of all pixels."""
 
     config: AccurateConfig
@@ -92,16 +99,20 @@ class AccurateMethod:
 
     def match(self, image: np.ndarray) -> Disparity:
         """Return the disparity of an image (H, W, 3)."""
-        views = filtered_views(image, self.space, config=self.config.views)
-        image, usable = clipped_filled(image, views.mask)
-        variance = self.evidence.noise.variance(image)  # once: all stages that follow need it
+        image, usable, guide, variance = self.prepared(image)
         likelihood = self.evidence.at(image, self.config.layers.values_px, self.labels_px, noise_variance=variance)
         if not usable.all():
             each_band(
                 lambda rows: np.multiply(likelihood[rows], usable[rows, :, None], out=likelihood[rows]), len(usable)
             )
-        found = path_surface(likelihood, views.guide, self.labels_px, config=self.config, run=self.run)
+        found = path_surface(likelihood, guide, self.labels_px, config=self.config, run=self.run)
         return self.from_paths(found, image, usable, depth_edges_of(image))
+
+    def prepared(self, image: np.ndarray) -> Prepared:
+        """Return what is matched of an image (H, W, 3)."""
+        views = filtered_views(image, self.space, config=self.config.views)
+        image, usable = clipped_filled(image, views.mask)
+        return Prepared(image, usable, views.guide, self.evidence.noise.variance(image))
 
     @property
     def labels_px(self) -> np.ndarray:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from chromaperture.color.image import DARK
-from chromaperture.matching.winner import Surface, Winner
+from chromaperture.matching.labels import Surface, Winner
 from chromaperture.settings.methods import PaperConfig
 
 LIGHT_WINDOW_PX = 8  # side of the squares whose mean light is looked at: a matching window, two sigmas of 4 px

@@ -11,13 +11,12 @@ from typing import Protocol
 
 import numpy as np
 
-from chromaperture.matching.labels import LabelMap
+from chromaperture.matching.labels import LabelMap, PathWinner, Surface, Winner
 from chromaperture.matching.readable.cross_filter import Tile
 from chromaperture.matching.readable.paths import Posterior
 from chromaperture.matching.readable.planes import PlaneCosts
 from chromaperture.matching.readable.upsample import Coarse
 from chromaperture.matching.views import Views
-from chromaperture.matching.winner import PathWinner, Surface, Winner
 from chromaperture.settings.methods import ExecutionName
 from chromaperture.settings.stages import BilateralConfig, CorrelationConfig, FourPathsConfig, SurfaceConfig
 from chromaperture.system.errors import InputError

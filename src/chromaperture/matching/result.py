@@ -1,14 +1,18 @@
-"""The types of all methods: noise in, disparity out."""
+"""The types of all methods: noise and what is wanted in, a measurement out."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
+from chromaperture.color.lens_shift import LensMoves
 from chromaperture.color.noise import estimate_noise_variance
+
+T = TypeVar("T")
 
 
 class NoiseModel(NamedTuple):
@@ -53,8 +57,78 @@ class Disparity:
         return f"Disparity({width}x{height} px, {known.mean():.1%} filled{median})"
 
 
-class Method(Protocol):
+@dataclass(frozen=True)
+class Conversion:
+    """The depth curve of every pixel, in numbers; two are of ``depth/``, which this package does not import."""
+
+    # Nine arrays, (H, W) or (1, 1): A, B, delta, and their covariances AA, AB, A delta, BB, B delta, delta delta. Or
+    # what they are computed from, FieldNumbers: maps of many megapixels take 36 bytes a pixel.
+    fields: Any
+    curve: Any  # CurveTable
+    max_depth_mm: float
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """What the alignment needs to know besides a disparity."""
+
+    directions: np.ndarray  # (3, 2) float64: displacement (x, y) of R, G, B per px of disparity
+    gains: np.ndarray  # (3,) float64, of the white balance
+    step: int = 1  # of `color.alignment.fill_unknown`
+    lens: LensMoves | None = None  # displaces the channels; only occlusion is found by the directions then
+
+
+class Extras(NamedTuple):
+    """What a method that can makes of its disparity besides."""
+
+    conversion: Conversion | None = None
+    alignment: Alignment | None = None
+
+
+NO_EXTRAS = Extras()
+
+
+class Measured(NamedTuple):
+    """Disparity, and what was made of it besides."""
+
+    disparity: Disparity
+    depth_mm: np.ndarray | None = None  # (H, W) float32, as its error bar
+    sigma_mm: np.ndarray | None = None
+    color: np.ndarray | None = None  # (H, W, 3) float32, aligned and white balanced
+
+
+@dataclass(frozen=True)
+class Pending(Generic[T]):
+    """What is under way: ``result()`` waits for it, and raises what went wrong."""
+
+    result: Callable[[], T]
+
+
+class Method(ABC):
     """One way to estimate disparity, for one camera."""
 
+    @abstractmethod
     def match(self, image: np.ndarray) -> Disparity:
         """Return the disparity of an image (H, W, 3) float32, linear."""
+
+    def start(self, image: np.ndarray, extras: Extras = NO_EXTRAS) -> Pending[Measured]:
+        """Begin with an image (H, W, 3); at most two are under way, to be awaited in turn.
+
+        A method that does not work ahead begins when it is waited for.
+        """
+        return Pending(lambda: Measured(self.match(image)))
+
+    @property
+    def works_ahead(self) -> bool:
+        """Whether `start` computes a photograph while the one before is read back."""
+        return False
+
+    @property
+    def makes_extras(self) -> bool:
+        """Whether `start` makes what is asked for besides the disparity."""
+        return False
+
+    @property
+    def holds_volumes(self) -> bool:
+        """Whether volumes lie in the memory of this process."""
+        return True

@@ -19,14 +19,13 @@ from chromaperture.color.unmixing import (
     view_directions,
     view_reach,
 )
-from chromaperture.matching.moved_views import PixelMaps, pixel_maps
-from chromaperture.matching.nothing_to_match import constant_view, no_usable_pixel
-from chromaperture.matching.view_noise import ViewNoise, noise_of_views
 from chromaperture.matching.whole_light import (
+    PixelMaps,
     even_mean,
     halved_whole,
     in_whole_units,
     light_unit,
+    pixel_maps,
     plane_variance,
     smooth_whole,
 )
@@ -34,6 +33,88 @@ from chromaperture.optics.aperture import Aperture, centroids, channel_transmiss
 from chromaperture.settings.stages import ViewsConfig
 from chromaperture.system.errors import InputError
 from chromaperture.system.threads import parallel_map
+
+_LEAST_PRESMOOTH_PX = 0.3  # below, the pixel's own area smooths the noise
+
+
+@dataclass(frozen=True)
+class ViewNoise:
+    """Noise of the smoothed views."""
+
+    variance: np.ndarray  # (H, W, K) float32: of the views. Even noise is a broadcast array
+    covariance: np.ndarray  # (H, W, P) float32: of the P pairs of views (0,1), (0,2), (1,2), before any shift
+    presmooth_sigma_px: float  # of the Gaussian that correlates the noise of neighbours
+
+    def sampled(self, variance_px2: float) -> ViewNoise:
+        """Return the noise of views that are read by a kernel of this variance, px^2."""
+        before = max(self.presmooth_sigma_px, _LEAST_PRESMOOTH_PX) ** 2
+        left = np.float32(before / (before + variance_px2))  # as in `noise_of_views`: by the width's square
+        sigma_px = math.sqrt(self.presmooth_sigma_px**2 + variance_px2)
+        return ViewNoise(_scaled(self.variance, left), _scaled(self.covariance, left), sigma_px)
+
+    def overlap(self, layers_px: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Return the fraction of the covariance that is left when layers have moved the views apart; (D, P) float32.
+
+        White noise behind a Gaussian of sigma p has the autocorrelation exp(-r^2 / 4 p^2).
+        """
+        p = max(self.presmooth_sigma_px, _LEAST_PRESMOOTH_PX)
+        apart = np.array([np.linalg.norm(directions[k] - directions[m]) for k, m in view_pairs(len(directions))])
+        return np.exp(-((np.abs(layers_px)[:, None] * apart) ** 2) / (4 * p**2)).astype(np.float32)
+
+
+def view_pairs(view_count: int) -> list[tuple[int, int]]:
+    """Return the pairs of views in the order of ``ViewNoise.covariance``."""
+    return list(combinations(range(view_count), 2))
+
+
+def noise_of_views(noise_variance: np.ndarray, rows: np.ndarray, *, presmooth_sigma_px: float) -> ViewNoise:
+    """Return the noise of mixed and smoothed views.
+
+    ``noise_variance`` (H, W, 3) float32: of the sensor's channels; ``rows`` (K, 3) float: weights of R, G, B in the
+    views; ``presmooth_sigma_px``: of the Gaussian before matching.
+    """
+    rows = np.asarray(rows)
+    products = np.stack([rows[k] * rows[m] for k, m in view_pairs(len(rows))])
+    p = max(presmooth_sigma_px, _LEAST_PRESMOOTH_PX)
+    left = np.float32(min(1.0, 1 / (4 * math.pi * p**2)))  # of the variance of white noise behind the Gaussian
+    variance, covariance = (_scaled(_mixed_noise(noise_variance, w), left) for w in (rows**2, products))
+    return ViewNoise(variance, covariance, presmooth_sigma_px)
+
+
+def is_even(maps: np.ndarray) -> bool:
+    """Return whether maps (H, W, N) hold one value a channel, by construction (`numpy.broadcast_to`)."""
+    return maps.strides[0] == 0 and maps.strides[1] == 0
+
+
+def _mixed_noise(variance: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Noise of weighted sums of the channels, (H, W, N) float32; even noise stays even."""
+    weights = np.asarray(weights, np.float32)
+    if is_even(variance):
+        return np.broadcast_to((weights @ variance[0, 0]).astype(np.float32), (*variance.shape[:2], len(weights)))
+    return cv2.transform(np.ascontiguousarray(variance, np.float32), weights).reshape(*variance.shape[:2], -1)
+
+
+def _scaled(maps: np.ndarray, factor: np.float32) -> np.ndarray:
+    if is_even(maps):
+        return np.broadcast_to(maps[0, 0] * factor, maps.shape)
+    return maps * factor
+
+
+def no_usable_pixel() -> InputError:
+    """Return the error of a picture without usable pixels."""
+    return InputError(
+        "no usable pixel: the whole image is saturated or not finite; lower the exposure, or check "
+        "--black-level and --white-level"
+    )
+
+
+def constant_view() -> InputError:
+    """Return the error of a picture without texture."""
+    return InputError(
+        "the image is constant in at least one view of the aperture: nothing to match. A lens cap, an even "
+        "wall, a grey-scale file and a wrong aperture design look like this"
+    )
+
 
 FILL_SIGMA_PX = 6.0  # of the mean that replaces unusable pixels, px of the halved picture; chosen by hand
 FILL_UNITS = 16.0  # to which that mean is rounded, so that executions seldom round it apart; below a picture's noise
@@ -51,7 +132,7 @@ class ViewSpace:
     rows: np.ndarray  # (K, 3) float64: weights of R, G, B in each view
     guide_rgb: np.ndarray  # (3,) float64: weights of R, G, B in the guide
     # (rows, columns, K, 2) float64, px, or None: displacement of each view by the lens, whatever the disparity, which
-    # `halved_views` takes off; see `disparity.moved_views.halved_moves`.
+    # `halved_views` takes off; see `whole_light.halved_moves`.
     moves_px: np.ndarray | None = None
 
 
@@ -262,8 +343,13 @@ def smooth(image: np.ndarray, sigma_px: float, *, out: np.ndarray | None = None)
 def _guide_scale(guide: np.ndarray, config: ViewsConfig) -> np.float32:
     """Return the factor that brings a guide to units of ``guide_range``."""
     sparse = percentile_spacing(guide.size)
-    low, high = np.percentile(guide[::sparse, ::sparse], (1, 99))
-    return np.float32(1 / (max(float(high - low), 1e-6) * config.guide_range))  # 1e-6: an even guide
+    return np.float32(guide_unit(guide[::sparse, ::sparse], config))
+
+
+def guide_unit(guide: np.ndarray, config: ViewsConfig) -> float:
+    """Return the factor that brings a guide to units of ``guide_range``, by all its pixels."""
+    low, high = np.percentile(guide, (1, 99))
+    return 1 / (max(float(high - low), 1e-6) * config.guide_range)  # 1e-6: an even guide
 
 
 def percentile_spacing(pixels: int) -> int:
@@ -279,3 +365,32 @@ def constant_variance(unit: float) -> float:
 def _mix(image: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Weighted sum of the channels; (H, W) float32."""
     return cv2.transform(image, np.asarray(weights, np.float32)[None, :])
+
+
+_CLIPPED_REACH_PX = 3  # about clipped pixels: demosaicing and the sensor spread their light; chosen by hand
+
+
+def clipped_filled(image: np.ndarray, usable: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Replace clipped areas, what is next to them, and non-finite pixels by the mean of the usable ones around.
+
+    A clipped disc has its edge at the same place in channels whose light is displaced, and outweighs all texture.
+    Single clipped pixels, as noise makes them in bright paper, miss little of their light and are left as they are.
+
+    ``image`` (H, W, 3) float32, linear RGB; ``usable`` (H, W) float32: 1 or 0: `Views.mask`. Returns ``image`` (H, W,
+    3) float32; ``usable`` (H, W) float32: 0 in the grown areas, too.
+    """
+    if usable.all():
+        return image, usable
+    areas = cv2.morphologyEx((usable == 0).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    grown = cv2.dilate(areas, np.ones((2 * _CLIPPED_REACH_PX + 1,) * 2, np.uint8)) > 0
+    replaced = grown | ~np.isfinite(image).all(axis=2)
+    usable = np.where(replaced, np.float32(0), usable)
+    kept = usable > 0
+    if not (replaced.any() and kept.any()):
+        return image, usable
+    mean = image[kept].mean(axis=0)
+    rest = np.where(kept[..., None], image - mean, np.float32(0))
+    sigma = 2 * FILL_SIGMA_PX  # that is px of the halved picture
+    around = cv2.GaussianBlur(usable, (0, 0), sigma)[..., None] + np.float32(1e-3)  # 1e-3: no division by 0
+    fill = cv2.GaussianBlur(rest, (0, 0), sigma) / around
+    return np.where(replaced[..., None], mean + fill, image).astype(np.float32), usable

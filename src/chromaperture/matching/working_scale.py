@@ -16,13 +16,13 @@ from chromaperture.color.saturation_kernels import mark_cut_off
 from chromaperture.matching.execution import Execution
 from chromaperture.matching.readable.upsample import Coarse
 from chromaperture.matching.result import Disparity, Method
-from chromaperture.matching.views import guide_weights
+from chromaperture.matching.views import guide_unit, guide_weights
 from chromaperture.optics.aperture import Aperture
 from chromaperture.settings.methods import MatcherConfig
 
 
 @dataclass(frozen=True)
-class ScaledMethod:
+class ScaledMethod(Method):
     """A method that matches reduced pictures."""
 
     method: Method  # of the camera of reduced pictures
@@ -37,9 +37,13 @@ class ScaledMethod:
         found = self.method.match(small)
         rgb = guide_weights(self.aperture)
         guide = np.nan_to_num(small @ rgb.astype(np.float32))
-        low, high = np.percentile(guide, (1, 99))
-        unit = 1 / (max(float(high - low), 1e-6) * self.config.views.guide_range)  # 1e-6: an even guide
+        unit = guide_unit(guide, self.config.views)
         return Disparity(*self.run.upsample(coarse_maps(found, guide * np.float32(unit)), image, rgb * unit))
+
+    @property
+    def holds_volumes(self) -> bool:
+        """Whether volumes lie in the memory of this process."""
+        return self.method.holds_volumes
 
 
 def reduced(image: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:

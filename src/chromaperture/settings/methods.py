@@ -90,7 +90,7 @@ class PaperConfig(MatcherConfig):
     #: Least standard deviation of the views' displacement, px.
     floor_px: NotNegative = 0.1
     #: Of the error bar of the search range, where views mixed of several channels have nothing in common at the
-    #: disparity that was found; see `matching.unlike_views`.
+    #: disparity that was found; see `matching.paper.unlike_share`.
     hue_share: NotNegative = 0.7
 
     def __post_init__(self) -> None:

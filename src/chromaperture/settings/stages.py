@@ -232,7 +232,7 @@ class SurfaceConfig(Settings):
     interpolation_sigma_px: Positive = 8.0
     #: Nats a path by which a layer may cost more and still be 1/e as probable. Fitted on captures of known depth.
     temperature: Positive = 0.5
-    #: Judge the surface by ``matching/learned_error_bar.py``, as learned from evidence of that kind, or by its
+    #: Judge the surface by ``matching/error_bar.py``, as learned from evidence of that kind, or by its
     #: posterior and its range alone.
     learned_error_bar: Literal["blur", "views", "none"] = "views"
 

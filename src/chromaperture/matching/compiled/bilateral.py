@@ -7,9 +7,9 @@ import numpy as np
 from chromaperture.matching.compiled import layout, strips
 from chromaperture.matching.compiled.correlation import filtered_scores
 from chromaperture.matching.compiled.workspace import workspace
+from chromaperture.matching.labels import Winner
 from chromaperture.matching.readable.bilateral import even_link
 from chromaperture.matching.views import Views
-from chromaperture.matching.winner import Winner
 from chromaperture.settings.stages import BilateralConfig, CorrelationConfig
 from chromaperture.system.threads import in_parallel, thread_count
 

@@ -31,8 +31,7 @@ from chromaperture.matching.readable.correlation import (
     SCORE_PARTS,
     cell_variance_floor,
 )
-from chromaperture.matching.view_noise import view_pairs
-from chromaperture.matching.views import Views
+from chromaperture.matching.views import Views, view_pairs
 from chromaperture.matching.whole_light import whole_taps
 from chromaperture.settings.stages import CorrelationConfig
 from chromaperture.system.compilation import compiled, inlined
@@ -43,8 +42,8 @@ _OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"nsz"}}
 kernel = compiled(**_OPTIONS)
 inner = inlined(**_OPTIONS)
 _BAND_ROWS = 24  # of cells: the window's four rows more cost 8 %, and the samples, 0.4 MB, stay in the cache
-_RING = 5  # rows of a window
-_REACH = 2  # px of a window's taps
+_RING = len(CELL_TAPS)  # rows of a window
+_REACH = _RING // 2  # px of a window's taps
 _ROUNDER = np.float32(1.5 * 2**23)  # added to a number below 2^22 it leaves a whole one, halves to even
 _LEAST = np.float32(LEAST_PRODUCT)
 _CONTRARY = np.float32(SCORE_PARTS * CONTRARY)

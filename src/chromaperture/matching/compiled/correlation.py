@@ -36,14 +36,12 @@ from chromaperture.matching.readable.correlation import (
     SAMPLING,
     padding,
     sampled_noise,
+    window_reach,
 )
-from chromaperture.matching.view_noise import ViewNoise, is_even, view_pairs
-from chromaperture.matching.views import Views
+from chromaperture.matching.views import ViewNoise, Views, is_even, view_pairs
 from chromaperture.settings.stages import CorrelationConfig
 from chromaperture.system.threads import in_parallel, thread_count
 
-# Fraction of a window's weight that a band may miss: products have means far above their variances.
-_NEGLIGIBLE = 1e-6
 _BAND_ROWS = 180  # most rows of a band, chosen by hand: fewer repeat more of the halo, more take more memory
 _RUN_HALOS = (
     6  # most rows of a run, in halos; chosen by hand: short runs repeat more rows, long ones leave threads idle
@@ -246,7 +244,7 @@ def _plan(
         min_weight=np.float32(MIN_WEIGHT),
     )
     layers = layout.Layers(direct, start, step, entry, whole, overlap.ravel(), ceiling, np.array(pairs))
-    halo = math.ceil(math.log(_NEGLIGIBLE) / math.log(config.window_decay))
+    halo = window_reach(config.window_decay)
     return layout.Plan(samplings, layers, numbers, *pad, halo)
 
 

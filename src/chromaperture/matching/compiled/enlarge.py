@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.matching.compiled.layout import ONE, ZERO, inner, kernel
+from chromaperture.matching.labels import Surface
 from chromaperture.matching.readable.enlarge import JUMP_PX
-from chromaperture.matching.winner import Surface
 from chromaperture.system.threads import in_parallel
 
 _JUMP = np.float32(JUMP_PX)

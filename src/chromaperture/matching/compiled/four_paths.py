@@ -14,10 +14,9 @@ from chromaperture.matching.compiled.cell_scores import cell_scores
 from chromaperture.matching.compiled.correlation import filtered_scores
 from chromaperture.matching.compiled.layout import BLOCK, whole_vectors
 from chromaperture.matching.compiled.workspace import workspace
-from chromaperture.matching.labels import LabelMap
+from chromaperture.matching.labels import LabelMap, PathWinner
 from chromaperture.matching.readable.correlation import cells_of
 from chromaperture.matching.views import Views
-from chromaperture.matching.winner import PathWinner
 from chromaperture.settings.stages import CorrelationConfig, FourPathsConfig
 from chromaperture.system.threads import in_parallel
 

@@ -89,7 +89,7 @@ def read_at_labels(
     step = float(layers_px[1] - layers_px[0])
     unexplained = np.exp(np.float32(-2 / factors) * np.asarray(likelihood, np.float32))
     labels = ((np.asarray(labels_px, float) - layers_px[0]) / step).astype(np.float32)
-    begin = ((label_map.offset_px + (label_map.scale - 1) * layers_px[0]) / step).astype(np.float32)
+    begin = label_map.first_layer(layers_px).astype(np.float32)
     rows, columns = (
         np.minimum(spacing_px * np.arange(n), m - 1) for n, m in zip(likelihood.shape, shape, strict=False)
     )

@@ -8,7 +8,7 @@ import numpy as np
 from chromaperture.matching.compiled import simd as v
 from chromaperture.matching.compiled.layout import ONE, ZERO, inner, kernel
 from chromaperture.matching.error_bar import local_range, sigma_of_range
-from chromaperture.matching.labels import LabelMap
+from chromaperture.matching.labels import LabelMap, PathWinner, Surface
 from chromaperture.matching.readable.place import (
     BESIDE_NEARER,
     BIAS,
@@ -24,7 +24,6 @@ from chromaperture.matching.readable.place import (
     near_usable,
 )
 from chromaperture.matching.readable.place import place_by_correlation as readable_place
-from chromaperture.matching.winner import PathWinner, Surface
 from chromaperture.system.threads import in_parallel
 
 _INFORMATION, _UNEXPLAINED = np.float32(LEAST_INFORMATION), np.float32(LEAST_UNEXPLAINED)

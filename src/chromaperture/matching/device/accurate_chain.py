@@ -15,9 +15,8 @@ from operator import call
 
 import numpy as np
 
-from chromaperture.matching.accurate import AccurateMethod, PathSurface
-from chromaperture.matching.clipped_areas import clipped_filled
-from chromaperture.matching.device.device import Array, Chain, Device, Pending
+from chromaperture.matching.accurate import AccurateMethod, PathSurface, Prepared
+from chromaperture.matching.device.device import Array, Chain, Device
 from chromaperture.matching.device.evidence_stages import EvidencePlan, add_evidence, plan_evidence
 from chromaperture.matching.device.label_stages import (
     WindowEvidence,
@@ -26,7 +25,7 @@ from chromaperture.matching.device.label_stages import (
     add_views_evidence,
     add_windows,
 )
-from chromaperture.matching.device.measured import NO_EXTRAS, Extras, Measured, OnDevice
+from chromaperture.matching.device.measured import OnDevice
 from chromaperture.matching.device.surface_stages import Grid, add_block_sums, add_path_surface
 from chromaperture.matching.evidence.blur import BlurEvidence
 from chromaperture.matching.evidence.correlation import CorrelationEvidence
@@ -34,7 +33,7 @@ from chromaperture.matching.evidence.spectral import SpectralEvidence
 from chromaperture.matching.planes.block_surface import depth_edges_of
 from chromaperture.matching.planes.depth_edges import BLOCK_PX
 from chromaperture.matching.readable.paths import Posterior
-from chromaperture.matching.views import filtered_views
+from chromaperture.matching.result import NO_EXTRAS, Extras, Measured, Pending
 from chromaperture.system.threads import begun, parallel_map
 
 DOWN = ("label", "posterior", "blocks")
@@ -73,9 +72,8 @@ class AccurateChain:
 
     def start(self, image: np.ndarray) -> Pending[Measured]:
         """Send an image (H, W, 3) to the device; at most two are under way, to be awaited in turn."""
-        views = filtered_views(image, self.method.space, config=self.method.config.views)
-        filled, usable = clipped_filled(image, views.mask)
-        inputs = self._inputs(filled, usable, views.guide, self.method.evidence.noise.variance(filled))
+        prepared = self.method.prepared(image)
+        inputs, filled, usable = self._inputs(prepared), prepared.image, prepared.usable
         pending = self.chain.start(inputs, list(DOWN))
         depth_edges = begun(partial(depth_edges_of, filled))
         return Pending(
@@ -127,9 +125,8 @@ class AccurateChain:
             return None
         return WindowGrid(self.grid.height, self.grid.width, evidence.config.stride_px)
 
-    def _inputs(
-        self, image: np.ndarray, usable: np.ndarray, guide: np.ndarray, variance: np.ndarray
-    ) -> dict[str, np.ndarray]:
+    def _inputs(self, prepared: Prepared) -> dict[str, np.ndarray]:
+        image, usable, guide, variance = prepared
         inputs = {"image": image, "usable": usable, "guide": guide}
         of_noise: dict[str, Callable[[], np.ndarray]] = {}
         if self.plan is not None:
@@ -167,7 +164,7 @@ class AccurateOnDevice(OnDevice):
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def start(self, image: np.ndarray, extras: Extras = NO_EXTRAS) -> Pending[Measured]:
-        """Send an image (H, W, 3) to the device, which begins; the CPU makes what is asked for besides."""
+        """Send an image (H, W, 3) to the device, which begins; at most two are under way, to be awaited in turn."""
         pairs = pairs_of(self.method)
         if pairs is not None:
             pairs.check_size(image)

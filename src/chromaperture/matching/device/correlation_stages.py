@@ -16,7 +16,6 @@ import numpy as np
 
 from chromaperture.matching.device.device import GROUP, Array, Chain
 from chromaperture.matching.device.view_stages import GUIDE_SCALE, Planes
-from chromaperture.matching.logarithm import LOGARITHM
 from chromaperture.matching.readable.correlation import (
     CELL_EPSILON,
     CELL_TAPS,
@@ -26,20 +25,18 @@ from chromaperture.matching.readable.correlation import (
     SAMPLING,
     SCORE_PARTS,
     padding,
+    window_reach,
 )
 from chromaperture.matching.readable.enlarge import JUMP_PX
 from chromaperture.matching.readable.four_paths import LEAST_DETERMINANT, NAT_PARTS
-from chromaperture.matching.whole_light import whole_taps
+from chromaperture.matching.whole_light import LOGARITHM, whole_taps
 from chromaperture.settings.stages import CorrelationConfig
 
-# Share of a window's weight that lies beyond the samples a block of a line starts from, where the picture counts as
-# even.
-_NEGLIGIBLE = 1e-6
 _BLOCK = 64  # most px of a line that an invocation takes
 _CHUNK_BYTES = 128e6  # of the largest array of a chunk: WebGPU's default limit of a binding
 _EACH = 16  # neighbours that an invocation samples: 5 % more taps are read than with all of a line
 _PHASES = 1e6  # sub-pixel phases that differ by less than one part are one
-WINDOW_REACH_PX = 2  # of a cell's window
+WINDOW_REACH_PX = len(CELL_TAPS) // 2  # of a cell's window
 # What `nats` needs.
 LIKELIHOOD: dict[str, Any] = {
     "least_determinant": LEAST_DETERMINANT,
@@ -157,7 +154,7 @@ def add_correlation(
     kept = kept or Kept("score", ("scores_kept",), {})
     tall, wide = planes.height + 2 * pad_y, planes.width + 2 * pad_x
     most_bytes = min(_CHUNK_BYTES, chain.device.largest_bytes)
-    reach = math.ceil(math.log(_NEGLIGIBLE) / math.log(config.window_decay))
+    reach = window_reach(config.window_decay)
     # Of an entry, two deviations; of a layer of its own, score and weight.
     most_entries = max(1, int(most_bytes // (8 * (tall + reach) * (wide + reach))))
     most_layers = max(1, int(most_bytes // (4 * tall * wide)) - 1) if chunked else len(layers_px)

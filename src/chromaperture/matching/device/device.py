@@ -29,11 +29,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Any, Generic, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from chromaperture.matching.device.shader_text import shader
+from chromaperture.matching.result import Pending
 from chromaperture.system.errors import InputError, MissingDependencyError, OutOfMemoryError
 from chromaperture.system.threads import begun
 
@@ -45,7 +46,6 @@ _KINDS = {"DiscreteGPU": 0, "IntegratedGPU": 1, "VirtualGPU": 2, "Unknown": 3, "
 _RAISED = ("max-storage-buffer-binding-size", "max-buffer-size")  # to all that the adapter has: default 128 MB
 _SLOTS = 2  # frames under way: one is computed while another is read back
 _LARGEST_BYTES = 128 * 2**20  # of an array in a browser: the default limit of WebGPU
-T = TypeVar("T")
 Exchange = Literal["quad", "shared"]  # see `PlannedChain`
 
 
@@ -143,13 +143,6 @@ class Device:
         if source not in self.pipelines:
             self.pipelines[source] = begun(made)  # a driver took 5 s for 122: docs/gpu.md
         return self.pipelines[source]
-
-
-@dataclass(frozen=True)
-class Pending(Generic[T]):
-    """What is under way on a device: ``result()`` waits for it, and raises what went wrong."""
-
-    result: Callable[[], T]
 
 
 class Chain:

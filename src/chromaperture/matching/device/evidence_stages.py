@@ -22,11 +22,10 @@ from chromaperture.matching.evidence.blur import (
     CONTRARY,
     IN_FOCUS_PX,
     MAX_CORRELATION2_OF_BANDS,
-    SHARP_PX,
     SPACING_PX,
-    TAILS_PX,
     BlurEvidence,
     finest_px,
+    odd_layers,
 )
 from chromaperture.matching.readable.band_correlation import LEAST_POWER, LEAST_SEEN
 from chromaperture.matching.readable.tiles import BACKGROUND_PX, LAG_PX, SAMPLING_PX, NodeAxis, Nodes
@@ -82,10 +81,9 @@ class EvidencePlan:
 
 def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
     """Choose layers and tiles; raises DeviceError where a tile is too large for the device."""
-    step = layers_px[1] - layers_px[0]
-    layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 * 2 + 1)
+    layers_px = odd_layers(layers_px)
     numbers = np.arange(len(layers_px))
-    sharp = (numbers % 2 == 1) & (np.abs(layers_px) < SHARP_PX * source.blur.reach)
+    sharp = (numbers % 2 == 1) & source.is_sharp(layers_px)
     of_all_pairs = (numbers % 4 == 0) | (numbers == numbers[-1])
     computed = np.concatenate([numbers[of_all_pairs], numbers[~of_all_pairs & ((numbers % 2 == 0) | sharp)]])
     places = np.full(len(layers_px), -1, np.int32)
@@ -96,8 +94,7 @@ def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
     ]
     if source.all_pairs == source.blur.pairs:
         parts = [Part(source.all_pairs, 0, len(computed))]
-    margin = 2 * float(np.abs(layers_px).max()) / source.blur.reach + TAILS_PX
-    nodes = Nodes(source.blur.height_px, source.blur.width_px, margin_px=margin)
+    nodes = source.nodes(layers_px)
     if nodes.size_px > MOST_TRANSFORMED:
         raise DeviceError(
             f"tiles of {nodes.size_px} px are too large for the GPU, at most {MOST_TRANSFORMED}: "

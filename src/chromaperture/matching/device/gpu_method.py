@@ -12,27 +12,16 @@ import numpy as np
 
 from chromaperture.matching.accurate import AccurateMethod
 from chromaperture.matching.device.accurate_chain import AccurateOnDevice
-from chromaperture.matching.device.device import Array, Chain, Device, DeviceError, Pending, adapters, open_device
-from chromaperture.matching.device.measured import (
-    NO_EXTRAS,
-    Extras,
-    Measured,
-    OnDevice,
-    add_extras,
-    is_same,
-    measured_from,
-    outputs_of,
-)
+from chromaperture.matching.device.device import Array, Chain, Device, DeviceError, adapters, open_device
+from chromaperture.matching.device.measured import OnDevice, add_extras, is_same, measured_from, outputs_of
 from chromaperture.matching.device.paper_chain import add_paper, runs_on_device
 from chromaperture.matching.device.real_time_chain import add_real_time
 from chromaperture.matching.device.view_stages import Reduction, add_reduced, add_upsampled, check_stats
-from chromaperture.matching.labels import IDENTITY, LabelMap
 from chromaperture.matching.paper import PaperMethod
 from chromaperture.matching.real_time import RealTimeMethod
-from chromaperture.matching.result import Disparity, Method
-from chromaperture.matching.views import ViewSpace, guide_weights
+from chromaperture.matching.result import NO_EXTRAS, Disparity, Extras, Measured, Method, Pending
+from chromaperture.matching.views import guide_weights
 from chromaperture.matching.working_scale import ScaledMethod
-from chromaperture.settings.methods import MatcherConfig, PaperConfig, RealTimeConfig
 from chromaperture.system.errors import CaptureWarning, ChromapertureError, InputError, OutOfMemoryError
 
 
@@ -40,11 +29,9 @@ from chromaperture.system.errors import CaptureWarning, ChromapertureError, Inpu
 class GpuMethod(OnDevice):
     """Qualities "real-time" and "paper" on a device."""
 
-    config: MatcherConfig  # RealTimeConfig or PaperConfig
-    space: ViewSpace
-    label_map: LabelMap
+    method: RealTimeMethod | PaperMethod
     device: Device
-    reduction: Reduction | None = None  # of larger pictures, to those that the other fields are of
+    reduction: Reduction | None = None  # of larger pictures, to those that the method is of
     _chain: Chain | None = None
     _size: tuple[int, int] = (0, 0)
     _extras: Extras = NO_EXTRAS
@@ -59,10 +46,15 @@ class GpuMethod(OnDevice):
         def result() -> Measured:
             with self._lock, self._freed_on_failure():
                 found = pending.result()
-            check_stats(found["stats"], len(self.space.rows))
+            check_stats(found["stats"], len(self.method.space.rows))
             return measured_from(found, size)
 
         return Pending(result)
+
+    @property
+    def makes_extras(self) -> bool:
+        """Whether `start` makes what is asked for besides the disparity."""
+        return True
 
     def _composed(self, size: tuple[int, int], extras: Extras) -> Chain:
         """Return the chain for a size, kept until another is needed."""
@@ -75,22 +67,20 @@ class GpuMethod(OnDevice):
             else:
                 small = add_reduced(chain, image, size, self.reduction)
                 self._add_matching(chain, small, self.reduction.size_px[::-1])
-                add_upsampled(chain, image, small, size, self.reduction, self.config.views.guide_range)
+                add_upsampled(chain, image, small, size, self.reduction, self.method.config.views.guide_range)
             add_extras(chain, image, size, extras)
             self._chain, self._size, self._extras = chain, size, extras
         return self._chain
 
     def _add_matching(self, chain: Chain, image: Array, size: tuple[int, int]) -> None:
-        if isinstance(self.config, RealTimeConfig):
-            add_real_time(chain, image, size, self.config, self.space, self.label_map)
-        elif isinstance(self.config, PaperConfig):
-            add_paper(chain, image, size, self.config, self.space)
+        if isinstance(self.method, RealTimeMethod):
+            add_real_time(chain, image, size, self.method)
         else:
-            raise TypeError(type(self.config).__name__)
+            add_paper(chain, image, size, self.method)
 
 
 @dataclass
-class DeviceMethod:
+class DeviceMethod(Method):
     """A method on a device as long as that works, else on the CPU."""
 
     on_gpu: OnDevice
@@ -100,11 +90,7 @@ class DeviceMethod:
 
     def match(self, image: np.ndarray) -> Disparity:
         """Return the disparity of an image (H, W, 3)."""
-        return self.measure(image).disparity
-
-    def measure(self, image: np.ndarray, extras: Extras = NO_EXTRAS) -> Measured:
-        """Return the disparity of an image, and its depth where the device made it."""
-        return self.start(image, extras).result()
+        return self.start(image).result().disparity
 
     def start(self, image: np.ndarray, extras: Extras = NO_EXTRAS) -> Pending[Measured]:
         """Send an image (H, W, 3) to the device, which computes it while another is read back.
@@ -127,6 +113,21 @@ class DeviceMethod:
             return Measured(self.on_cpu.match(image))
 
         return Pending(result)
+
+    @property
+    def works_ahead(self) -> bool:
+        """Whether `start` computes a photograph while the one before is read back."""
+        return True
+
+    @property
+    def makes_extras(self) -> bool:
+        """Whether `start` makes what is asked for besides the disparity."""
+        return self.on_gpu.makes_extras and not self.has_failed
+
+    @property
+    def holds_volumes(self) -> bool:
+        """Whether volumes lie in the memory of this process: they do if the CPU takes over, of which it is said."""
+        return False
 
     def fall_back(self, error: ChromapertureError) -> None:
         """Go on with the CPU, which is said once, or raise the error."""
@@ -178,10 +179,8 @@ def on_device(method: Method, choice: str, note: Callable[[str], None], *, pixel
         return DeviceMethod(on_gpu, method, matching.may_fall_back)
     asked_for = choice not in ("auto", "cpu")
     opened: Callable[[Device], OnDevice]
-    if isinstance(method, PaperMethod) and runs_on_device(method.config):
-        opened = partial(GpuMethod, method.config, method.space, IDENTITY)
-    elif isinstance(method, RealTimeMethod):
-        opened = partial(GpuMethod, method.config, method.space, method.label_map)
+    if isinstance(method, RealTimeMethod) or (isinstance(method, PaperMethod) and runs_on_device(method.config)):
+        opened = partial(GpuMethod, method)
     elif isinstance(method, AccurateMethod) and not method.config.spectral.dual_pixel:
         opened = partial(AccurateOnDevice, method)
     else:

@@ -137,8 +137,7 @@ def _add_labels(
     map_ = source.pairs.label_map
     if not map_.is_identity:
         map_ = LabelMap(*(part[np.ix_(grid.rows, grid.columns)] for part in map_))
-    begin = (map_.offset_px + (map_.scale - 1) * few_px[0]) / step
-    at_windows = chain.constant("window_label_map", np.stack(np.broadcast_arrays(begin, map_.scale), axis=-1))
+    at_windows = _label_map(chain, map_, few_px, name="window_label_map")
     earned = chain.array("windows", grid.count * len(labels_px))
     chain.add(
         "window_labels", [by_slope, shares, at_windows, earned], groups=groups_for(grid.count, 1), layers=len(few_px),
@@ -238,8 +237,8 @@ def _polynomial(layers_px: np.ndarray, labels_px: np.ndarray, label_map: LabelMa
     )  # fmt: skip
 
 
-def _label_map(chain: Chain, label_map: LabelMap, layers_px: np.ndarray) -> Array:
+def _label_map(chain: Chain, label_map: LabelMap, layers_px: np.ndarray, *, name: str = "label_map") -> Array:
     """Offset and scale of a label at every pixel, in layers from the first."""
-    step = float(layers_px[1] - layers_px[0])
-    begin = (label_map.offset_px + (label_map.scale - 1) * layers_px[0]) / step
-    return chain.constant("label_map", np.stack(np.broadcast_arrays(begin, label_map.scale), axis=-1))
+    return chain.constant(
+        name, np.stack(np.broadcast_arrays(label_map.first_layer(layers_px), label_map.scale), axis=-1)
+    )

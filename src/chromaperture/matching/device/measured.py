@@ -2,35 +2,23 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from chromaperture.color.lens_shift import LensMoves
 from chromaperture.color.row_alignment import FEWEST, OCCLUSION_PX, RADIUS_PX, RIDGE, SAME_SURFACE_PX, STILL
-from chromaperture.matching.device.device import Array, Chain, Device, DeviceError, Pending
-from chromaperture.matching.result import Disparity
+from chromaperture.matching.device.device import Array, Chain, Device, DeviceError
+from chromaperture.matching.result import NO_EXTRAS, Alignment, Conversion, Disparity, Extras, Measured, Method, Pending
 from chromaperture.system.errors import OutOfMemoryError
 
 MAPS = ("disparity", "sigma", "confidence")  # arrays that every method leaves, (H, W) each
 _MILLIMETRES = ("depth_mm", "sigma_mm")
 _COLOR = "color"
 _PLACES, _TAPS = 32, 8  # of OpenCV's Lanczos filter: places between two pixels, and samples
-
-
-@dataclass(frozen=True)
-class Conversion:
-    """The depth curve of every pixel, in numbers; two are of ``depth/``, which this package does not import."""
-
-    # Nine arrays, (H, W) or (1, 1): A, B, delta, and their covariances AA, AB, A delta, BB, B delta, delta delta. Or
-    # what they are computed from, FieldNumbers: maps of many megapixels take 36 bytes a pixel.
-    fields: Any
-    curve: Any  # CurveTable
-    max_depth_mm: float
 
 
 def add_conversion(chain: Chain, disparity: Array, sigma: Array, conversion: Conversion) -> None:
@@ -76,16 +64,6 @@ def _smooth(conversion: Conversion) -> tuple[str, np.ndarray, dict[str, Any]]:
         "node_columns": numbers.covariance.shape[2],
     }  # fmt: skip
     return "fields_smooth", np.concatenate([np.asarray(part, np.float32).ravel() for part in parts]), of_fields
-
-
-@dataclass(frozen=True)
-class Alignment:
-    """What the alignment needs to know besides a disparity."""
-
-    directions: np.ndarray  # (3, 2) float64: displacement (x, y) of R, G, B per px of disparity
-    gains: np.ndarray  # (3,) float64, of the white balance
-    step: int = 1  # of `color.alignment.fill_unknown`
-    lens: LensMoves | None = None  # displaces the channels; only occlusion is found by the directions then
 
 
 def add_alignment(chain: Chain, image: Array, disparity: Array, size: tuple[int, int], alignment: Alignment) -> None:
@@ -157,26 +135,7 @@ def lanczos_weights() -> np.ndarray:
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
-class Extras(NamedTuple):
-    """What a device makes of a disparity where it is asked to."""
-
-    conversion: Conversion | None = None
-    alignment: Alignment | None = None
-
-
-NO_EXTRAS = Extras()
-
-
-class Measured(NamedTuple):
-    """Disparity, and what was asked for besides."""
-
-    disparity: Disparity
-    depth_mm: np.ndarray | None = None  # (H, W) float32, as its error bar
-    sigma_mm: np.ndarray | None = None
-    color: np.ndarray | None = None  # (H, W, 3) float32, aligned and white balanced
-
-
-class OnDevice(ABC):
+class OnDevice(Method):
     """A method whose stages run on a device, in chains that are made at the first photograph of a size, and kept.
 
     For one thread at a time, safe from several.

@@ -143,7 +143,7 @@ fn main(i) {
 
 // ---- unlike_moments: indexing, shared
 // Mean and variance of the views, moved by the disparity that was found, and of their mean, in squares of `cell` px
-// (quality "paper"), as `unlike_views.py`.
+// (quality "paper"), as `paper.py`.
 
 in planes: array<f32>;  // (K + 2, H, W), of which the views
 in peaks: array<f32>;  // (3, H, W), of which the disparity
@@ -190,7 +190,7 @@ fn main(i) {
 
 // ---- unlike_share: indexing, shared
 // Which share of the views' variance in a window of cells is not that of their mean (quality "paper"), as
-// `unlike_views.unlike_share`.
+// `paper.unlike_share`.
 
 in moments: array<vec4f>;  // (2, rows, columns): views first, their mean last
 out share: array<f32>;  // (rows, columns)

@@ -15,11 +15,9 @@ from chromaperture.matching.device.device import Array, Chain
 from chromaperture.matching.device.real_time_chain import add_links, add_recursions
 from chromaperture.matching.device.view_stages import Planes, add_views
 from chromaperture.matching.error_bar import CONFIDENCE_SCALE_PX, MAX_SIGMA_PX, independent_samples, sigma_of_range
-from chromaperture.matching.paper import EDGE_REACH_PX
+from chromaperture.matching.paper import CELL_PX, EDGE_REACH_PX, LEAST_VARIANCE, WINDOW_CELLS, PaperMethod
 from chromaperture.matching.readable.bilateral import even_link
 from chromaperture.matching.readable.correlation import MIN_WEIGHT
-from chromaperture.matching.unlike_views import CELL_PX, LEAST_VARIANCE, WINDOW_CELLS, mixed_share
-from chromaperture.matching.views import ViewSpace, moved_px
 from chromaperture.settings.methods import PaperConfig
 
 
@@ -28,8 +26,9 @@ def runs_on_device(config: PaperConfig) -> bool:
     return not (config.correlation.noise_debiasing or config.bilateral.texture_weighting)
 
 
-def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperConfig, space: ViewSpace) -> None:
+def add_paper(chain: Chain, image: Array, size: tuple[int, int], method: PaperMethod) -> None:
     """Add all stages from the image (H, W, 3) to ``disparity``, ``sigma`` and ``confidence``, (H, W) each."""
+    config, space = method.config, method.space
     planes = add_views(chain, image, size, space, config.views)
     layers_px = config.layers.values_px
     first, step = float(layers_px[0]), float(layers_px[1] - layers_px[0])
@@ -55,15 +54,9 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
         total_layers=len(layers_px), first_px=first, step_px=step, samples=independent_samples(config),
         sigma_scale=config.sigma_scale, range_sigma_px=sigma_of_range(layers_px), max_sigma_px=MAX_SIGMA_PX,
     )  # fmt: skip
-    of_square: dict[str, Any] = {
-        "width": size[1],
-        "height": size[0],
-        "reach": EDGE_REACH_PX,
-        "side": 2 * EDGE_REACH_PX + 1,
-    }
+    of_square: dict[str, Any] = dict(width=size[1], height=size[0], reach=EDGE_REACH_PX, side=2 * EDGE_REACH_PX + 1)
     chain.add("peak_range_x", [peaks, ranges], planes.pixels, **of_square)
-    hue_share = config.hue_share * mixed_share(space.rows)
-    if hue_share > 0:
+    if method.hue_share > 0:
         unlike, cells = _add_unlike_share(chain, planes, peaks, space.directions)
     else:
         unlike, cells = chain.constant("unlike_share", np.zeros(1, np.float32)), {"columns": 1, "rows": 1}
@@ -71,7 +64,7 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
     widest = sigma_of_range(layers_px)
     chain.add(
         "peak_range", [peaks, ranges, unlike, *outputs], planes.pixels, edge_share=config.edge_share,
-        floor_px=config.floor_px / moved_px(space.directions), hue_px=hue_share * widest, range_sigma_px=widest,
+        floor_px=method.floor_px, hue_px=method.hue_share * widest, range_sigma_px=widest,
         max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX, **cells, **of_square,
     )  # fmt: skip
 
@@ -79,7 +72,7 @@ def add_paper(chain: Chain, image: Array, size: tuple[int, int], config: PaperCo
 def _add_unlike_share(
     chain: Chain, planes: Planes, peaks: Array, directions: np.ndarray
 ) -> tuple[Array, dict[str, Any]]:
-    """Add `unlike_views.unlike_share`, in cells; return its map and their numbers along x and y."""
+    """Add `paper.unlike_share`, in cells; return its map and their numbers along x and y."""
     cells: dict[str, Any] = {"columns": max(1, planes.width // CELL_PX), "rows": max(1, planes.height // CELL_PX)}
     count = cells["columns"] * cells["rows"]
     moments, share = chain.array("unlike_moments", 8 * count), chain.array("unlike_share", count)

@@ -18,7 +18,6 @@ from chromaperture.matching.device.correlation_stages import (
 from chromaperture.matching.device.device import Array, Chain, groups_for
 from chromaperture.matching.device.view_stages import GUIDE_SCALE, Planes, add_halved_views, add_two_views
 from chromaperture.matching.error_bar import CONFIDENCE_SCALE_PX, MAX_SIGMA_PX, sigma_of_range
-from chromaperture.matching.labels import MOST_APART_PX, LabelMap, labels_between
 from chromaperture.matching.readable.bilateral import even_link
 from chromaperture.matching.readable.correlation import SCORE_PARTS
 from chromaperture.matching.readable.enlarge import JUMP_PX
@@ -37,7 +36,7 @@ from chromaperture.matching.readable.place import (
     SEEN_REACH,
     WIDEST_SHARE,
 )
-from chromaperture.matching.views import ViewSpace
+from chromaperture.matching.real_time import RealTimeMethod
 from chromaperture.settings.methods import RealTimeConfig
 
 _LANES = 4  # invocations that share a path
@@ -45,16 +44,14 @@ _LANES = 4  # invocations that share a path
 _AHEAD = 4
 
 
-def add_real_time(
-    chain: Chain, image: Array, size: tuple[int, int], config: RealTimeConfig, space: ViewSpace, label_map: LabelMap
-) -> None:
+def add_real_time(chain: Chain, image: Array, size: tuple[int, int], method: RealTimeMethod) -> None:
     """Add all stages from the image (H, W, 3) to ``disparity``, ``sigma`` and ``confidence``, (H, W) each."""
+    config, space, label_map = method.config, method.space, method.label_map
     height, width = size
     whole = add_halved_views(chain, image, size, space, config.views)
     cell_px = config.correlation.cell_px
     planes = whole if cell_px == 1 else add_cell_planes(chain, whole)
-    layers_px = config.layers.values_px / 2  # of the halved picture
-    labels_px = labels_between(layers_px, space.directions, most_px=MOST_APART_PX / 2)
+    layers_px, labels_px = method.layers_px, method.labels_px
     pitch = 4 * -(-len(labels_px) // 4)  # whole vectors of four labels
     labels = chain.constant("labels", np.stack([np.asarray(part, np.float32) for part in label_map]))
     of_labels: dict[str, Any] = {
@@ -75,16 +72,9 @@ def add_real_time(
         score = add_cell_scores(chain, whole, planes, layers_px, space.directions, config.correlation)
     likelihood = score
     if not at_once:
+        parts = 1 if cell_px == 1 else SCORE_PARTS
         likelihood = add_label_likelihood(
-            chain,
-            planes,
-            score,
-            labels,
-            layers_px,
-            labels_px,
-            pitch=pitch,
-            score_parts=1 if cell_px == 1 else SCORE_PARTS,
-            of_labels=of_labels,
+            chain, planes, score, labels, layers_px, labels_px, pitch=pitch, score_parts=parts, of_labels=of_labels
         )
     winner, places = _add_paths(chain, planes, likelihood, config, of_layers)
     smoothed = _add_smoothing_along_surface(chain, planes, winner, places, config)
@@ -105,13 +95,12 @@ def add_real_time(
         surface = add_enlarged_cells(chain, whole, planes, surface)
     lacking, cells = add_two_views(chain, image, size, space.rows)
     assert whole.full_guide is not None
-    moved = float(np.linalg.norm(space.directions, axis=1).mean())  # px of the views a px of disparity
     outputs = [chain.array(name, height * width, np.float32) for name in ("disparity", "sigma", "confidence")]
     chain.add(
         "enlarge", [surface, whole.full_guide, whole.stats, labels, lacking, *outputs], height * width, guide_start=0,
         guide_scale=GUIDE_SCALE + 1, width=width, height=height, half_width=whole.width, jump_px=JUMP_PX,
         labelled=not label_map.is_identity, range_sigma_px=sigma_of_range(config.layers.values_px),
-        floor_px=config.floor_px / moved, max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX, **cells,
+        floor_px=method.floor_px, max_sigma_px=MAX_SIGMA_PX, confidence_scale_px=CONFIDENCE_SCALE_PX, **cells,
     )  # fmt: skip
 
 

@@ -11,8 +11,6 @@ import numpy as np
 from chromaperture.color.image import DARK, SATURATION
 from chromaperture.matching.device.device import Array, Chain
 from chromaperture.matching.error_bar import LIGHT_WINDOW_PX
-from chromaperture.matching.moved_views import MOVE_PARTS, halved_moves
-from chromaperture.matching.nothing_to_match import constant_view, no_usable_pixel
 from chromaperture.matching.readable.upsample import JUMP_PX, LEAST_WEIGHT
 from chromaperture.matching.views import (
     CONSTANT,
@@ -21,9 +19,11 @@ from chromaperture.matching.views import (
     GUIDE_SIGMA_PX,
     USABLE,
     ViewSpace,
+    constant_view,
+    no_usable_pixel,
     percentile_spacing,
 )
-from chromaperture.matching.whole_light import LEAST_EXPONENT, LIGHT_BITS, smoothing_taps
+from chromaperture.matching.whole_light import LEAST_EXPONENT, LIGHT_BITS, MOVE_PARTS, halved_moves, smoothing_taps
 from chromaperture.settings.stages import ViewsConfig
 
 _PARTS = 256  # most workgroups that sum a picture up; one workgroup sums their sums

@@ -292,7 +292,7 @@ fn main(i) {
 
 // ---- moved_views: indexing, shared
 // Views sampled where the lens shows them, between four pixels each, in whole units of light: weights are whole parts, so
-// that sums are exact. See `matching/moved_views.py`.
+// that sums are exact. See `matching/whole_light.py`.
 
 in planes: array<f32>;  // (at least K, h, w)
 in moves: array<u32>;  // (K, h, w): parts of a px along x and y, 16 bits each

@@ -76,10 +76,9 @@ class BlurEvidence:
         every fourth and at the last, and interpolated: see `with_midpoints`. Their views lie about half as far apart as
         the widest; twice as many layers where blur is narrow change no surface.
         """
-        step = layers_px[1] - layers_px[0]
-        layers_px = layers_px[0] + step * np.arange(len(layers_px) // 2 * 2 + 1)
+        layers_px = odd_layers(layers_px)
         evens, between = layers_px[::2], layers_px[1::2]
-        sharp = np.abs(between) < SHARP_PX * self.blur.reach
+        sharp = self.is_sharp(between)
         primary, few, count = len(self.blur.pairs), len(evens[::2]), len(evens)
         # Else the last layer is one of every fourth; now it is the first of those that follow them.
         at_last = count % 2 == 0
@@ -151,8 +150,7 @@ class BlurEvidence:
         image = np.where(np.isfinite(image), image, np.float32(0))
         self.check_size(image)
         height, width = image.shape[:2]
-        margin = 2 * float(np.abs(layers_px).max()) / blur.reach + TAILS_PX  # both blurs
-        nodes = Nodes(height, width, margin_px=margin)
+        nodes = self.nodes(layers_px)
         spectra = nodes.spectra(
             np.ascontiguousarray(image, np.float32), noise_variance, noise_margin=self.config.noise_margin
         )
@@ -196,6 +194,15 @@ class BlurEvidence:
         parallel_map(fill, range(len(layers_px)))
         return np.moveaxis(correlation, 0, -1)
 
+    def is_sharp(self, layers_px: np.ndarray) -> np.ndarray:
+        """Return whether the blur of layers is so narrow that they are all computed; (D,) bool."""
+        return np.asarray(np.abs(layers_px) < SHARP_PX * self.blur.reach)
+
+    def nodes(self, layers_px: np.ndarray) -> Nodes:
+        """Return the tiles of the frame, whose margin holds both blurs of the widest layer."""
+        margin = 2 * float(np.abs(layers_px).max()) / self.blur.reach + TAILS_PX
+        return Nodes(self.blur.height_px, self.blur.width_px, margin_px=margin)
+
     def check_size(self, image: np.ndarray) -> None:
         """Raise InputError where the image is not of the blur's size."""
         (height, width), blur = image.shape[:2], self.blur
@@ -226,6 +233,11 @@ class BlurEvidence:
     @property
     def _window(self) -> float:
         return self.config.window_sigma_px / SAMPLING_PX  # samples
+
+
+def odd_layers(layers_px: np.ndarray) -> np.ndarray:
+    """Return layers, one more if their number is even: every second one is computed, and the last; float64, px."""
+    return np.asarray(layers_px[0] + (layers_px[1] - layers_px[0]) * np.arange(len(layers_px) // 2 * 2 + 1))
 
 
 def with_midpoints(volume: np.ndarray) -> np.ndarray:

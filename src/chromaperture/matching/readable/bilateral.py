@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from chromaperture.matching.labels import Winner, parabola_winner
 from chromaperture.matching.readable.correlation import MIN_WEIGHT, correlate, texture_weights
 from chromaperture.matching.views import Views
-from chromaperture.matching.winner import Winner, parabola_winner
 from chromaperture.settings.stages import BilateralConfig, CorrelationConfig
 
 

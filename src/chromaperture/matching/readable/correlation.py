@@ -13,14 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from chromaperture.matching.view_noise import ViewNoise, view_pairs
-from chromaperture.matching.views import Views
+from chromaperture.matching.views import ViewNoise, Views, view_pairs
 from chromaperture.matching.whole_light import plane_variance, whole_taps
 from chromaperture.settings.stages import SAMPLED_PX2, CorrelationConfig
 
 Taps = Callable[[float], tuple[float, float, float, float]]
 
 MIN_VARIANCE_FRACTION = 0.05  # of a variance that debiasing always leaves: an estimated noise may be too high
+NEGLIGIBLE = 1e-6  # fraction of a window's weight that may be missed: products have means far above their variances
 RELATIVE_EPSILON = 1e-6  # of a view's overall variance: even areas score 0, not noise / noise
 # As much of a cell's: that of a view with bright spots outweighs a dark wall's texture and noise, and walls are lost
 # whole (docs/decisions.md, *Weak texture through three filters*).
@@ -248,6 +248,11 @@ def texture_weights(views: Views, *, config: CorrelationConfig) -> np.ndarray:
 def variance_floor(pictures: np.ndarray) -> np.ndarray:
     """Variance below which a view counts as even; (K,) float64."""
     return RELATIVE_EPSILON * pictures.astype(np.float64).var(axis=(0, 1)) + 1e-30
+
+
+def window_reach(decay: float) -> int:
+    """Return the px beyond which an exponential window has less than `NEGLIGIBLE` of its weight."""
+    return math.ceil(math.log(NEGLIGIBLE) / math.log(decay))
 
 
 def padding(layers_px: np.ndarray, directions: np.ndarray, sampling: str = "catmull-rom") -> tuple[int, int]:

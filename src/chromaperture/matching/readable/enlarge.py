@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from chromaperture.matching.winner import Surface
+from chromaperture.matching.labels import Surface
 
 JUMP_PX = 1.0  # disparities farther apart belong to two surfaces: a pixel between them takes one of them, no mean
 

@@ -19,11 +19,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from chromaperture.matching.labels import LabelMap
+from chromaperture.matching.labels import LabelMap, PathWinner
 from chromaperture.matching.readable.correlation import cells_of, correlate
 from chromaperture.matching.readable.paths import lagrange_weights
 from chromaperture.matching.views import Views
-from chromaperture.matching.winner import PathWinner
 from chromaperture.settings.stages import CorrelationConfig, FourPathsConfig
 
 LEAST_DETERMINANT = 1e-5  # of the correlations, whose logarithm is the log-likelihood: 5.8 nats at most

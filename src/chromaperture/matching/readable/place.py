@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 
 from chromaperture.matching.error_bar import local_range, sigma_of_range
-from chromaperture.matching.labels import LabelMap
-from chromaperture.matching.winner import PathWinner, Surface
+from chromaperture.matching.labels import LabelMap, PathWinner, Surface
 
 # Of the error bar, fitted to twelve simulated captures through each of four designs (docs/decisions.md, *Constants
 # of the error bar*). A place whose neighbourhood holds the information I scatters by SCATTER / sqrt(I) labels:
