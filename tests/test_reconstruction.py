@@ -314,7 +314,7 @@ def test_what_hides_a_place_and_has_no_distance_does_not_pull():
         assert np.linalg.norm((found.pose - pose_at(k))[:3, 3]) < 2.0
 
 
-def test_points_of_uncertain_distance_count_less_where_their_place_in_the_picture_is_uncertain():
+def test_points_of_uncertain_place_in_the_picture_count_less():
     config = ReconstructionConfig(tracking_scale=1)
     first, then = photograph(pose_at(0)), photograph(pose_at(6.0))
     wrong = np.zeros(SIZE, bool)

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from chromaperture.system.errors import InputError
-from chromaperture_paper import variation_kernels
+from chromaperture.system.threads import limited_threads
+from chromaperture_paper import variation, variation_kernels
 from chromaperture_paper.total_variation import CHECK_EVERY, make_problem, smooth_disparity
 from chromaperture_paper.variation import (
     OPERATOR_NORM_SQUARED,
@@ -129,6 +130,34 @@ def test_every_schedule_of_bands_and_sweeps_gives_the_readable_iterations(data_t
     np.testing.assert_allclose(fast.u, reference.u, atol=2e-5)
     np.testing.assert_allclose(fast.extrapolated, reference.extrapolated, atol=5e-5)
     np.testing.assert_allclose(fast.dual, reference.dual, atol=2e-5)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.tuples(st.integers(2, 40), st.integers(2, 40)),
+    st.integers(0, 2**32 - 1),
+    st.sampled_from(["absolute", "quadratic"]),
+    st.booleans(),
+    st.sampled_from([1, 2, 3]),
+)
+def test_iterations_of_the_variation_and_its_gap_agree(shape, seed, data_term, edged, threads):
+    p = problem(np.random.default_rng(seed), shape, data_term=data_term, edged=edged, holes=False)
+    states = [State.start(p.target) for _ in range(2)]
+    with limited_threads(threads):
+        for run, state in zip((variation_kernels, variation), states, strict=True):
+            run.iterate(p, state, steps(20))
+    # Same operations in another order: a few float32 roundings of numbers up to 2.5, for 20 iterations.
+    np.testing.assert_allclose(states[0].u, states[1].u, atol=1e-5)
+    gaps = [run.gap_per_px(p, states[0]) for run in (variation_kernels, variation)]
+    assert gaps[0] == pytest.approx(gaps[1], rel=1e-9, abs=1e-9)  # float64 sums
+
+
+def test_regularised_maps_agree():
+    rng = np.random.default_rng(14)
+    disparity_px, weights = rng.normal(0, 1, (31, 33)), rng.random((31, 33)) < 0.5
+    fast, slow = (smooth_disparity(disparity_px, weights, iterations=60, execution=name) for name in ("numba", "numpy"))
+    np.testing.assert_allclose(fast.disparity_px, slow.disparity_px, atol=3e-5)  # 60 float32 iterations
+    assert fast.gap_per_px == pytest.approx(slow.gap_per_px, abs=1e-5)  # of the same rounding
 
 
 def test_outliers_and_missing_pixels_are_recovered():
