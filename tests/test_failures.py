@@ -23,17 +23,14 @@ import cv2
 import matplotlib
 import numpy as np
 import pytest
-import typer
 
 from chromaperture.calibration.calibrate_session import CalibrationResult
-from chromaperture.cli.main import app
 from chromaperture.depth.field import DepthField
 from chromaperture.system.errors import InputError, OutOfMemoryError, within_memory
 from chromaperture.system.threads import begun, beside, check_environment, in_parallel, parallel_map
 from worlds import capture, content, halves_camera, texture
 
 ROOT = Path(__file__).parents[1]
-COMMANDS = typer.main.get_command(app)
 ALLOCATIONS = (
     "empty", "zeros", "ones", "full", "empty_like", "zeros_like", "full_like", "stack", "concatenate", "where",
     "ascontiguousarray",
@@ -182,7 +179,6 @@ def staging_below(folder: Path) -> list[Path]:
 
 def make_fail_in_turn(run, tmp_path, monkeypatch, arguments, *, kinds=tuple(KINDS), kept=lambda out: False):
     """Run a command with each failure; ``arguments(out)`` is its command line. Returns how many were made to fail."""
-    monkeypatch.setattr("chromaperture.cli.main.app", COMMANDS)  # made once: that takes longer than a command
     good_folder = tmp_path / "good"
     good_folder.mkdir()
     result = run(*arguments(good_folder))
