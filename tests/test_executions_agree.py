@@ -181,11 +181,18 @@ def measured(name, design, execution):
     return (on_device(method, "gpu", print) if execution == "shaders" else method).match(image)
 
 
-@pytest.mark.parametrize(
-    "execution", ["numba", pytest.param("shaders", marks=[pytest.mark.extra("gpu", "wgpu"), needs_device])]
-)
 @pytest.mark.parametrize("design", ["cy_halves", "rgb_squares"])
-@pytest.mark.parametrize("name", [*NUMPY_METHODS, "accurate with blur"])
+@pytest.mark.parametrize(
+    ("name", "execution"),
+    [
+        *((name, "numba") for name in (*NUMPY_METHODS, "accurate with blur")),
+        # That with the blur takes minutes on a device in software: test_gpu_accurate.py has it for two samples.
+        *(
+            pytest.param(name, "shaders", marks=[pytest.mark.extra("gpu", "wgpu"), needs_device])
+            for name in NUMPY_METHODS
+        ),
+    ],
+)
 def test_whole_measurements_agree(name, design, execution):
     fast, slow = (measured(name, design, each) for each in (execution, "numpy"))
     known = np.isfinite(slow.value_px)
