@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import shutil
 import socket
 import threading
@@ -25,6 +26,7 @@ BROWSER_TESTS = [  # marks of a file whose tests need the app's server and a Chr
     pytest.mark.slow,
 ]
 TOKEN = "a-token-that-only-the-tests-know"
+TIMEOUT_MS = 120_000  # of a browser that compiles thirty shaders on a busy machine
 PHONE, DESKTOP = {"width": 360, "height": 740}, {"width": 1280, "height": 860}
 _FLAGS = ["--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
           "--disable-component-update", "--disable-sync"]  # fmt: skip
@@ -114,6 +116,7 @@ def pages(browser: Any, url: str) -> Iterator[Any]:
         context = browser.new_context(viewport=size, permissions=["camera"], **options)
         contexts.append(context)
         page = context.new_page()
+        page.set_default_timeout(TIMEOUT_MS)
         page.on("pageerror", lambda error: wrong.append(str(error)))
         page.on("console", lambda line: wrong.append(line.text) if "Security Policy" in line.text else None)
         if script:
@@ -127,6 +130,30 @@ def pages(browser: Any, url: str) -> Iterator[Any]:
     for context in contexts:
         context.close()
     assert wrong == []
+
+
+def says(page: Any, text: str) -> str:
+    """What the page says, once that has a text in it."""
+    page.wait_for_selector(f"#message:has-text('{text}')")
+    return page.inner_text("#message")
+
+
+def open_photo(page: Any, path: Path | str) -> None:
+    page.click("#tab-photo")
+    page.set_input_files("#photo-open", str(path))
+    page.wait_for_selector("#photo-tools:not([hidden])")
+
+
+def reading(page: Any, viewer: str, x: float, y: float, *, width: int = 720, height: int = 480) -> tuple[float, float]:
+    """Touch a place of a picture, fractions of its sides; returns depth and error bar, mm."""
+    box = page.locator(f"{viewer} .stage canvas").bounding_box()
+    scale = min(box["width"] / width, box["height"] / height)
+    left, top = box["x"] + (box["width"] - scale * width) / 2, box["y"] + (box["height"] - scale * height) / 2
+    page.mouse.click(left + x * scale * width, top + y * scale * height)
+    page.wait_for_selector(f"{viewer} .reading:has-text('±'):not([aria-busy])")
+    found = re.fullmatch(r"([\d.]+) ± ([\d.]+) mm", page.inner_text(f"{viewer} .reading"))
+    assert found
+    return float(found[1]), float(found[2])
 
 
 @contextlib.contextmanager

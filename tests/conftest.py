@@ -3,15 +3,17 @@ from __future__ import annotations
 import importlib.util
 import sys
 from collections.abc import Iterator
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import typer
 
 from apps import calibrate_rendered, render_session
 from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session
 from chromaperture.calibration.options import CalibrationConfig
-from chromaperture.cli.main import main
+from chromaperture.cli.main import app, main
 from worlds import write_board_session
 
 
@@ -57,9 +59,16 @@ class Result(NamedTuple):
     stderr: str
 
 
+@cache
+def commands() -> Any:
+    """The commands, made once: that takes longer than some of them."""
+    return typer.main.get_command(app)
+
+
 @pytest.fixture
 def run(capfd, monkeypatch):
     """Run the command line in this process."""
+    monkeypatch.setattr("chromaperture.cli.main.app", commands())
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["chromaperture", *map(str, arguments)])

@@ -21,6 +21,7 @@ from chromaperture.capture.threaded_source import DeviceLostError, LiveSource
 from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.system.errors import InputError
+from waiting import until
 
 pytestmark = pytest.mark.extra("serve", "starlette")
 
@@ -48,13 +49,6 @@ def feeds():
     for feed in made:
         feed.close()
     until(lambda: not [t for t in threading.enumerate() if t.name.startswith(("feed ", "idle ", "capture "))])
-
-
-def until(condition, seconds=20.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 class Camera:

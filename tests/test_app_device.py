@@ -11,7 +11,21 @@ import numpy as np
 import pytest
 import tifffile
 
-from apps import BROWSER_TESTS, DESKTOP, PHONE, REC_709, WEBGPU, chromium, pages, served, write_y4m
+from apps import (
+    BROWSER_TESTS,
+    DESKTOP,
+    PHONE,
+    REC_709,
+    TIMEOUT_MS,
+    WEBGPU,
+    chromium,
+    open_photo,
+    pages,
+    reading,
+    says,
+    served,
+    write_y4m,
+)
 from chromaperture.app.device_plan import light_of_counts
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
@@ -24,8 +38,8 @@ from chromaperture.products.samples import open_sample, sample_camera
 pytestmark = BROWSER_TESTS
 NAME = "still_life_cy_halves"
 WIDTH, HEIGHT = 360, 240  # half the sample's: a rasteriser in software takes a second for it
+SIZE = {"width": WIDTH, "height": HEIGHT}
 PLACES = ((0.25, 0.6), (0.62, 0.6), (0.8, 0.55))  # on the books of the sample, fractions of the frame
-TIMEOUT_MS = 120_000  # of a browser that compiles thirty shaders on a busy machine
 
 # What the page's own modules measure of a picture, and the counts that they saw.
 MEASURED = """async ({ name, width, height, source }) => {
@@ -88,7 +102,6 @@ def page_at(browser, app):
 
         def at(size=PHONE, *, where="device", **how):
             page = opened(size, **how)
-            page.set_default_timeout(TIMEOUT_MS)
             page.select_option("#where", where)
             return page
 
@@ -134,31 +147,8 @@ def add_probe(page, path):
     page.set_input_files("#probe", str(path))
 
 
-def says(page, text):
-    page.wait_for_selector(f"#message:has-text('{text}')", timeout=TIMEOUT_MS)
-    return page.inner_text("#message")
-
-
 def mode(page, text):
-    page.wait_for_selector(f"#mode:has-text('{text}')", timeout=TIMEOUT_MS)
-
-
-def reading(page, viewer, x, y):
-    """Touch a place of a picture; returns depth and error bar, mm."""
-    box = page.locator(f"{viewer} .stage canvas").bounding_box()
-    scale = min(box["width"] / WIDTH, box["height"] / HEIGHT)
-    left, top = box["x"] + (box["width"] - scale * WIDTH) / 2, box["y"] + (box["height"] - scale * HEIGHT) / 2
-    page.mouse.click(left + x * scale * WIDTH, top + y * scale * HEIGHT)
-    page.wait_for_selector(f"{viewer} .reading:has-text('±'):not([aria-busy])")
-    found = re.fullmatch(r"([\d.]+) ± ([\d.]+) mm", page.inner_text(f"{viewer} .reading"))
-    assert found
-    return float(found[1]), float(found[2])
-
-
-def open_photo(page, path):
-    page.click("#tab-photo")
-    page.set_input_files("#photo-open", path)
-    page.wait_for_selector("#photo-tools:not([hidden])", timeout=TIMEOUT_MS)
+    page.wait_for_selector(f"#mode:has-text('{text}')")
 
 
 # ---- live and photo
@@ -177,7 +167,7 @@ def test_live_depth_of_this_device_is_that_of_python(page_at, small, size):
     image = light_of_counts(small[2].calibration)[0][seen]
     expected = assert_measured_as_by_python(depth, sigma, image, small[2])
     for x, y in PLACES:
-        shown, _ = reading(page, "#live-viewer", x, y)
+        shown, _ = reading(page, "#live-viewer", x, y, **SIZE)
         row, column = round(y * HEIGHT), round(x * WIDTH)
         window = expected.depth_mm[row - 4 : row + 5, column - 4 : column + 5]
         assert np.nanmin(window) - 1 <= shown <= np.nanmax(window) + 1  # rounded to mm
@@ -195,7 +185,7 @@ def test_a_photograph_is_measured_here_and_focused_by_the_computer(page_at, smal
     np.testing.assert_array_equal(counts, small[1])
     expected = assert_measured_as_by_python(depth, sigma, light_of_counts(small[2].calibration)[0][small[1]], small[2])
     x, y = PLACES[0]
-    shown, _ = reading(page, "#photo-viewer", x, y)
+    shown, _ = reading(page, "#photo-viewer", x, y, **SIZE)
     assert shown == pytest.approx(float(depth[int(y * HEIGHT), int(x * WIDTH)]), rel=0.01)
     # Colours for the eye: bilinear instead of cubic samples, and hidden pixels are not filled in.
     white = np.percentile(expected.color, 99.5)
@@ -204,7 +194,7 @@ def test_a_photograph_is_measured_here_and_focused_by_the_computer(page_at, smal
     page.locator("#photo-viewer [data-view=picture]").click()
     with page.expect_response(re.compile(r"refocused.*x=0\.2")) as answer:
         page.wait_for_timeout(500)
-        reading(page, "#photo-viewer", x, y)
+        reading(page, "#photo-viewer", x, y, **SIZE)
     assert answer.value.status == 200
     mode(page, "Measured on this device")  # only its focus is the computer's
 
@@ -275,7 +265,7 @@ def test_it_measures_without_the_computer(browser, small, tmp_path):
     mode(page, "Measured on this device")
     expected = small[2].measure(light_of_counts(small[2].calibration)[0][small[1]])
     for x, y in PLACES:
-        depth, _ = reading(page, "#photo-viewer", x, y)
+        depth, _ = reading(page, "#photo-viewer", x, y, **SIZE)
         window = expected.depth_mm[round(y * HEIGHT) - 4 :, round(x * WIDTH) - 4 :][:9, :9]
         assert np.nanmin(window) - 1 <= depth <= np.nanmax(window) + 1  # rounded to mm
     add_probe(page, tmp_path / "p.png")
@@ -361,13 +351,13 @@ def test_a_photograph_stays_while_live_measures_with_the_same_arrays(page_at, sm
     page = page_at()
     nearer = np.roll(small[1], WIDTH // 2, axis=1)
     open_photo(page, save_png(tmp_path / "p.png", nearer))
-    before = reading(page, "#photo-viewer", *PLACES[0])
+    before = reading(page, "#photo-viewer", *PLACES[0], **SIZE)
     page.click("#tab-live")
     page.click("#live-start")
     page.wait_for_selector("#live-speed:has-text('frames/s')")
-    live = reading(page, "#live-viewer", *PLACES[0])
+    live = reading(page, "#live-viewer", *PLACES[0], **SIZE)
     page.click("#tab-photo")
-    assert reading(page, "#photo-viewer", *PLACES[0]) == before
+    assert reading(page, "#photo-viewer", *PLACES[0], **SIZE) == before
     assert before != live
 
 
@@ -401,7 +391,7 @@ def test_pictures_of_another_size(page_at, small, tmp_path):
     mode(page, "Measured on this device")
     expected = small[2].measure(light_of_counts(small[2].calibration)[0][small[1]])
     x, y = PLACES[0]
-    depth, _ = reading(page, "#photo-viewer", x, y)
+    depth, _ = reading(page, "#photo-viewer", x, y, **SIZE)
     window = expected.depth_mm[round(y * HEIGHT) - 4 :, round(x * WIDTH) - 4 :][:9, :9]
     assert np.nanmin(window) - 1 <= depth <= np.nanmax(window) + 1
     page.set_input_files("#photo-open", save_png(tmp_path / "square.png", small[1][:200, :200]))

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from apps import BROWSER_TESTS, DESKTOP, FACTS, PHONE, chromium, chromium_with, pages, served
+from apps import BROWSER_TESTS, DESKTOP, FACTS, PHONE, chromium, chromium_with, open_photo, pages, reading, says, served
 from chromaperture.app.notes import heard
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.encoding import Encoding
@@ -57,30 +57,6 @@ def browser(driver, tmp_path_factory):
 def page_at(browser, app):
     with pages(browser, app.url) as opened:
         yield opened
-
-
-def says(page, text):
-    page.wait_for_selector(f"#message:has-text('{text}')", timeout=30_000)
-    return page.inner_text("#message")
-
-
-def reading(page, viewer, x, y):
-    """Touch a place of a picture; returns depth and error bar, mm."""
-    box = page.locator(f"{viewer} .stage canvas").bounding_box()
-    width, height = 720, 480
-    scale = min(box["width"] / width, box["height"] / height)
-    left, top = box["x"] + (box["width"] - scale * width) / 2, box["y"] + (box["height"] - scale * height) / 2
-    page.mouse.click(left + x * scale * width, top + y * scale * height)
-    text = page.inner_text(f"{viewer} .reading")
-    found = re.fullmatch(r"([\d.]+) ± ([\d.]+) mm", text)
-    assert found, text
-    return float(found[1]), float(found[2])
-
-
-def open_photo(page, path=None):
-    page.click("#tab-photo")
-    page.set_input_files("#photo-open", path or str(sample_image(NAME)))
-    page.wait_for_selector("#photo-tools:not([hidden])", timeout=60_000)
 
 
 # ---- live
@@ -164,7 +140,7 @@ def test_a_browser_that_asks_and_is_denied_says_so(driver, app):
 
 def test_a_photograph_is_measured_focused_by_a_touch_and_saved(page_at):
     page = page_at(DESKTOP)
-    open_photo(page)
+    open_photo(page, sample_image(NAME))
     camera, image = open_sample(NAME)
     frame = camera.measure(image)
     for x, y in PLACES:
@@ -265,7 +241,7 @@ def test_everything_can_be_touched_read_and_reached(page_at, size):
     for tab in ("live", "photo", "calibrate"):
         page.click(f"#tab-{tab}")
         if tab == "photo":
-            open_photo(page)
+            open_photo(page, sample_image(NAME))
         if tab == "calibrate":
             page.wait_for_selector("input[name=name]")
         assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]  # nothing to the side
@@ -278,7 +254,7 @@ def test_the_keyboard_suffices(page_at):
     page.focus("#tab-live")
     page.keyboard.press("ArrowRight")
     assert page.is_visible("#photo")
-    open_photo(page)
+    open_photo(page, sample_image(NAME))
     page.focus("#photo-viewer .stage canvas")
     page.keyboard.press("ArrowLeft")
     first = page.inner_text("#photo-viewer .reading")

@@ -62,7 +62,7 @@ def ended(image, made):
 
 @pytest.mark.slow
 @pytest.mark.extra("cluster", "distributed")
-def test_a_cluster_gives_the_same_files_names_the_damaged_and_keeps_what_is_complete(run, tmp_path):
+def test_a_cluster_gives_the_same_files_and_keeps_what_is_complete(run, tmp_path):
     images = photographs(tmp_path / "in", 3)
     (tmp_path / "in" / "bad.png").write_bytes(b"no picture")
     started = LocalCluster(tmp_path)
@@ -120,7 +120,7 @@ def test_nothing_is_lost_with_a_worker_or_with_the_scheduler(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.extra("cluster", "distributed")
-def test_a_worker_with_another_version_is_refused_at_the_start_and_when_it_joins_later(tmp_path):
+def test_a_worker_with_another_version_is_refused_whenever_it_joins(tmp_path):
     installed = tmp_path / "other" / "chromaperture-99.0.dist-info"
     installed.mkdir(parents=True)
     (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: chromaperture\nVersion: 99.0\n")

@@ -32,7 +32,7 @@ def scheduler(tmp_path):
 
 
 @pytest.mark.extra("cluster", "distributed")
-def test_two_dask_workers_one_killed_in_the_middle_give_the_same_files_byte_for_byte(scheduler, tmp_path):
+def test_two_dask_workers_one_killed_give_the_same_files_byte_for_byte(scheduler, tmp_path):
     import distributed
 
     address, workers = scheduler

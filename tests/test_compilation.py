@@ -35,62 +35,57 @@ def package(tmp_path):
     return folder
 
 
-def call(package) -> tuple[int, bool]:
-    """Result of the kernel in a new process, and whether its machine code came from disk."""
-    program = f"""
-import sys; sys.path.insert(0, {str(package.parent)!r})
-from chromaperture.kernel_of_a_test import scaled
-print(scaled(10), sum(scaled.stats.cache_hits.values()))
+# Calls the kernel: its result, and whether its machine code came from disk.
+CALL = """
+def call():
+    sys.modules.pop("chromaperture.kernel_of_a_test", None)
+    from chromaperture.kernel_of_a_test import scaled
+    print(scaled(10), sum(scaled.stats.cache_hits.values()))
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    result, from_disk = done.stdout.split()
-    return int(result), from_disk == "1"
+
+
+def calls(package, program="call()", setup="") -> list[tuple[int, bool]]:
+    """What a program printed in a new process: of each call the result, and whether its machine code came from disk."""
+    start = f"import os, sys, tempfile\n{setup}\nsys.path.insert(0, {str(package.parent)!r})\n{CALL}\n{program}"
+    done = subprocess.run([sys.executable, "-c", start], capture_output=True, text=True, check=True)
+    return [(int(result), from_disk == "1") for result, from_disk in map(str.split, done.stdout.splitlines())]
 
 
 @pytest.mark.slow
 def test_an_edited_constant_never_runs_old_machine_code(package):
-    assert call(package) == (20, False)
-    assert call(package) == (20, True)
+    assert calls(package) == [(20, False)]
+    assert calls(package) == [(20, True)]
     (package / "constants_of_a_test.py").write_text("FACTOR = 3\n")
-    assert call(package) == (30, False)
+    assert calls(package) == [(30, False)]
 
 
-@pytest.mark.slow
-def test_a_damaged_file_of_machine_code_is_made_anew(package):
-    call(package)
-    kept = list((package / "__pycache__").glob("kernel_of_a_test.*.nb?"))
-    assert {file.suffix for file in kept} == {".nbi", ".nbc"}
-    for file in kept:
-        file.write_bytes(file.read_bytes()[:40])
-    assert call(package) == (20, False)
-    assert call(package) == (20, True)
-
-
-@pytest.mark.slow
-def test_a_damaged_index_or_data_file_is_made_anew_however_it_is_damaged(package):
-    call(package)
-    for suffix in (".nbi", ".nbc"):
-        for damage in (lambda d: b"", lambda d: d[:-40], lambda d: bytes(len(d))):
-            (kept,) = (package / "__pycache__").glob(f"kernel_of_a_test.*{suffix}")
+DAMAGE = """
+from pathlib import Path
+call()
+folder = Path(sys.path[0]) / "chromaperture" / "__pycache__"
+bit = lambda data: data[: len(data) // 2] + bytes([data[len(data) // 2] ^ 1]) + data[len(data) // 2 + 1 :]
+for suffixes in (".nbi",), (".nbc",), (".nbi", ".nbc"):
+    for damage in (lambda d: b"", lambda d: d[:40], lambda d: d[:-40], lambda d: bytes(len(d)), bit):
+        if damage is bit and suffixes != (".nbc",):
+            continue
+        for suffix in suffixes:
+            (kept,) = folder.glob(f"kernel_of_a_test.*{suffix}")
             kept.write_bytes(damage(kept.read_bytes()))
-            assert call(package) == (20, False)
-    assert call(package) == (20, True)
+        call()
+call()
+"""
 
 
-def test_a_changed_bit_of_machine_code_never_runs(package):
-    call(package)
-    (kept,) = (package / "__pycache__").glob("kernel_of_a_test.*.nbc")
-    data = bytearray(kept.read_bytes())
-    data[len(data) // 2] ^= 1
-    kept.write_bytes(data)
-    assert call(package) == (20, False)
+@pytest.mark.slow
+def test_damaged_machine_code_is_made_anew_however_it_is_damaged(package):
+    """Its index or its data or both: empty, cut off, overwritten, and the data with a changed bit."""
+    assert calls(package, DAMAGE) == [*[(20, False)] * 14, (20, True)]
+    assert calls(package) == [(20, True)]
 
 
-def service(package, temporary, setup=""):
-    """Call the kernel where no folder of the package and no home can be written to, but a temporary one."""
-    program = f"""
-import os, sys, tempfile
-{setup}
+def read_only(temporary) -> str:
+    """No folder of the package and no home can be written to, but a temporary one."""
+    return f"""
 tempfile.tempdir = {str(temporary)!r}
 real = tempfile.TemporaryFile
 def only_temporary(*arguments, dir=None, **options):
@@ -98,35 +93,29 @@ def only_temporary(*arguments, dir=None, **options):
         raise PermissionError(13, "read-only installation")
     return real(*arguments, dir=dir, **options)
 tempfile.TemporaryFile = only_temporary
-sys.path.insert(0, {str(package.parent)!r})
-from chromaperture.kernel_of_a_test import scaled
-print(scaled(10), sum(scaled.stats.cache_hits.values()))
 """
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    result, from_disk = done.stdout.split()
-    return int(result), from_disk == "1"
 
 
 @pytest.mark.slow
-def test_a_read_only_installation_without_a_home_keeps_machine_code_in_a_temporary_folder(package, tmp_path):
+def test_a_read_only_installation_without_a_home_uses_a_temporary_folder(package, tmp_path):
     temporary = tmp_path / "temporary"
     temporary.mkdir()
-    assert service(package, temporary) == (20, False)
-    assert service(package, temporary) == (20, True)
+    assert calls(package, setup=read_only(temporary)) == [(20, False)]
+    assert calls(package, setup=read_only(temporary)) == [(20, True)]
     (own,) = temporary.iterdir()
     assert own.stat().st_mode & 0o777 == 0o700
     own.chmod(0o777)  # others may have put code there
-    assert service(package, temporary) == (20, False)
+    assert calls(package, setup=read_only(temporary)) == [(20, False)]
 
 
-def test_where_nothing_can_be_kept_every_process_compiles(package, tmp_path):
-    for _ in range(2):
-        assert service(package, tmp_path / "there is no such folder") == (20, False)
+def test_where_nothing_can_be_kept_every_call_compiles(package, tmp_path):
+    nowhere = read_only(tmp_path / "there is no such folder")
+    assert calls(package, "call(); call()", nowhere) == [(20, False)] * 2
 
 
-def test_a_full_disk_is_no_reason_to_stop(package, tmp_path):
-    full = "import os\ndef replace(*_): raise OSError(28, 'No space left on device')\nos.replace = replace"
-    assert service(package, tmp_path, full) == (20, False)
+def test_a_full_disk_is_no_reason_to_stop(package):
+    full = "def replace(*_): raise OSError(28, 'No space left on device')\nos.replace = replace"
+    assert calls(package, setup=full) == [(20, False)]
 
 
 def parsed_imports(path: Path) -> set[Path]:

@@ -138,7 +138,7 @@ def test_zero_disparity_is_the_focus_surface():
     assert MODEL.in_focus_mm == pytest.approx(1985.0, rel=1e-12)
 
 
-def test_depth_grows_without_bound_towards_the_disparity_of_infinity_and_is_unknown_beyond():
+def test_depth_is_unknown_beyond_the_disparity_of_infinity():
     at_infinity = float(MODEL.infinity_disparity_px)
     # an object 10 times farther is 10 times closer to the disparity of infinity
     near, far = (1 / disparity_to_inverse_depth(at_infinity - gap, MODEL) for gap in (1e-3, 1e-4))

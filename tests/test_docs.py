@@ -15,7 +15,8 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "chromaperture"
 # `module.py` `function`, `another`: a module and the names it must define
 PAIRS = re.compile(r"`([\w/]+\.py)`((?:[ \n,]+`\w+`)+)")
-MODULE = re.compile(r"`((?:optics|capture|color|disparity|depth|effects|viewer)/\w+\.py)`")
+ROOMS = sorted(path.parent.name for path in PACKAGE.glob("*/__init__.py"))
+MODULE = re.compile(rf"`((?:{'|'.join(ROOMS)})/[\w/]+\.py)`")
 
 
 def missing_names(text: str) -> list[str]:

@@ -20,7 +20,7 @@ def test_a_camera_that_goes_round_a_point_keeps_it_ahead():
     np.testing.assert_allclose(figure_15.orbit(7)[0], np.eye(4), atol=1e-12)  # float64
 
 
-def test_planes_seen_from_a_pose_are_where_points_are_seen_and_points_on_them_are_on_the_surface(rng):
+def test_planes_seen_from_a_pose_lie_where_their_points_are_seen(rng):
     planes = world.still_life(seed=15)
     pose = figure_15.turned(8.0, -3.0, np.array([0.0, 0.0, 2000.0]))
     seen = figure_15.seen_from(planes, pose)

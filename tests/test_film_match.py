@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 
 from chromaperture.capture.files import read_image
-from chromaperture.cli.main import main
 from chromaperture.color.film import match_film
 from chromaperture.evaluation.health import film_match
 from chromaperture.model.camera_file import Calibration
@@ -76,23 +73,15 @@ def test_a_white_sheet_has_no_colours_to_compare(films, rng):
 
 
 @pytest.mark.slow
-def test_depth_refuses_another_film_unless_told(monkeypatch, tmp_path, capsys):
-    def run(*options):
-        arguments = ("depth", sample_image(HALVES), "--camera", sample_camera(OPEN), "--out", tmp_path, "-q", *options)
-        monkeypatch.setattr(sys, "argv", ["chromaperture", *map(str, arguments)])
-        try:
-            main()
-        except SystemExit as end:
-            return end.code or 0, capsys.readouterr().err
-        return 0, capsys.readouterr().err
-
-    code, said = run()
+def test_depth_refuses_another_film_unless_told(run, tmp_path):
+    command = ("depth", sample_image(HALVES), "--camera", sample_camera(OPEN), "--out", tmp_path, "-q")
+    code, _, said = run(*command)
     assert code == 2
     assert said.count("\n") == 1
     assert "film" in said
     assert "cy_halves" in said
     assert list(tmp_path.iterdir()) == []
-    code, said = run("--anyway")
+    code, _, said = run(*command, "--anyway")
     assert code == 0
     assert said.startswith("warning:")
     assert any(tmp_path.iterdir())

@@ -30,7 +30,7 @@ from chromaperture.system.errors import (
     MissingDependencyError,
     OutOfMemoryError,
 )
-from devices import EXPECTED, needs_device
+from devices import EXPECTED, device_of_its_own, needs_device
 from worlds import INFINITY_PX, PUPIL_MM, SCALE_PX_MM, halves_camera, wavy_capture
 
 SHAPE = (60, 84)
@@ -49,11 +49,6 @@ def camera_on(device: str, quality="real-time", **changes) -> CodedApertureCamer
 
 def silent(note: str) -> None:
     pass
-
-
-def device_of_its_own():
-    """A device that a test may destroy."""
-    return device_file._opened(*device_file._found_adapters()[0])
 
 
 def real_time() -> tuple:

@@ -18,8 +18,7 @@ from chromaperture.matching.result import Extras
 from chromaperture.products.samples import open_sample
 from chromaperture.settings.methods import AccurateConfig
 from chromaperture.system.errors import CaptureWarning, InputError, OutOfMemoryError
-from test_gpu import device_of_its_own
-from test_gpu_surface import any_device
+from devices import any_device, device_of_its_own
 from worlds import wavy_capture
 
 pytestmark = pytest.mark.extra("gpu", "wgpu")
@@ -78,22 +77,6 @@ def test_the_camera_measures_on_the_device():
     assert (np.isnan(expected.depth_mm) == np.isnan(found.depth_mm)).mean() > 0.995
     assert (np.abs(found.depth_mm / expected.depth_mm - 1) < 1e-3)[known].mean() > 0.995
     assert np.quantile(np.abs(found.color - expected.color), 0.99) < 1e-3
-
-
-@pytest.mark.parametrize("design", ["cy_halves", "rgb_squares"])
-def test_shifted_views_are_evidence_on_the_device_too(design):
-    """A camera whose blur is not known: two view spaces of two views, or one of three."""
-    image = wavy_capture(design, shape=(44, 60))
-    # NumPy's: Numba keeps scores in 16 bits, and planes through this wavy surface are chosen otherwise by that much.
-    method = method_for(
-        AccurateConfig().with_range(-2.0, 2.0), aperture=design, label_maps=[IDENTITY, IDENTITY], execution="numpy"
-    )
-    assert len(method.evidence.spaces) == (2 if design == "cy_halves" else 1)
-    expected = method.match(image).value_px
-    found = AccurateOnDevice(method, any_device()).match(image).value_px
-    assert np.isfinite(expected).mean() > 0.7
-    assert (np.isnan(expected) == np.isnan(found)).mean() > 0.995
-    assert (np.abs(found - expected) < 1e-3)[np.isfinite(expected)].mean() > 0.995
 
 
 @pytest.mark.parametrize("shape", [(5, 61), (1, 40), (9, 30)])

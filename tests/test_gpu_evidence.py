@@ -3,13 +3,17 @@
 import numpy as np
 import pytest
 
+from chromaperture.matching.device import evidence_stages
+from chromaperture.matching.device.device import Chain, DeviceError
+from chromaperture.matching.device.evidence_stages import add_evidence, add_transform, plan_evidence
+from chromaperture.matching.device.label_stages import add_labels
 from chromaperture.matching.evidence.blur import BlurEvidence
 from chromaperture.matching.execution import execution_named
 from chromaperture.matching.labels import IDENTITY, LabelMap
 from chromaperture.matching.result import ESTIMATED_NOISE, NoiseModel
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.settings.stages import CrossFilterConfig
-from test_gpu_surface import any_device
+from devices import any_device
 from worlds import blurred, lens_blur
 
 pytestmark = pytest.mark.extra("gpu", "wgpu")
@@ -24,10 +28,6 @@ class Case:
     """
 
     def __init__(self, design, shape, noise, label_map, *, half_range=5, gains=(1, 1, 1), config=None):
-        from chromaperture.matching.device.device import Chain
-        from chromaperture.matching.device.evidence_stages import add_evidence, plan_evidence
-        from chromaperture.matching.device.label_stages import add_labels
-
         height, width = shape
         self.blur = lens_blur(LENS, width, height, design)
         rng = np.random.default_rng(3)
@@ -123,9 +123,6 @@ def test_channels_that_fall_where_others_rise_are_evidence_too(design, secondary
 # One to three passes behind the first, every radix of `fourier`; 1024 is the longest line.
 @pytest.mark.parametrize("span", [6, 20, 40, 48, 54, 64, 90, 108, 160, 192, 256, 432, 1000, 1024])
 def test_transforms_of_every_radix_are_those_of_numpy(span, rng):
-    from chromaperture.matching.device.device import Chain
-    from chromaperture.matching.device.evidence_stages import add_transform
-
     height, kept = 8, span // 2
     image, shading = rng.normal(0, 1, (2, height, span, 3)).astype(np.float32)
     chain = Chain(any_device())
@@ -144,8 +141,6 @@ def test_transforms_of_every_radix_are_those_of_numpy(span, rng):
 
 def test_layers_in_rounds_are_the_same(monkeypatch):
     """Where memory holds few layers at once, they go through one after the other."""
-    from chromaperture.matching.device import evidence_stages
-
     whole = Case("cy_halves", (40, 44), True, IDENTITY).run("correlation")["correlation"]
     sizes = []
     for budget in (1 << 24, 1):
@@ -157,9 +152,6 @@ def test_layers_in_rounds_are_the_same(monkeypatch):
 
 
 def test_tiles_that_are_too_large_are_refused():
-    from chromaperture.matching.device.device import DeviceError
-    from chromaperture.matching.device.evidence_stages import plan_evidence
-
     source = BlurEvidence(
         CrossFilterConfig(), lens_blur(LENS, 6000, 4000), IDENTITY, ESTIMATED_NOISE, execution_named("numpy")
     )

@@ -18,8 +18,7 @@ from chromaperture.matching.device.device import DeviceError, open_device
 from chromaperture.matching.device.refocus_stages import RefocusChain
 from chromaperture.products.samples import open_sample
 from chromaperture.system.errors import CaptureWarning, OutOfMemoryError
-from devices import needs_device
-from test_gpu import device_of_its_own
+from devices import device_of_its_own, needs_device
 
 pytestmark = [pytest.mark.extra("gpu", "wgpu"), needs_device]
 

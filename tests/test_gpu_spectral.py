@@ -5,18 +5,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.matching import readable as stages
+from chromaperture.matching.device.device import Chain
+from chromaperture.matching.device.label_stages import WindowGrid, add_spectra, add_windows
 from chromaperture.matching.evidence.blur import BlurEvidence
 from chromaperture.matching.evidence.spectral import SpectralEvidence
 from chromaperture.matching.evidence.spectral_model import Windows
-from chromaperture.matching.execution import execution_named
 from chromaperture.matching.labels import IDENTITY
 from chromaperture.matching.readable.tiles import without_shading
 from chromaperture.matching.result import NoiseModel
 from chromaperture.settings.stages import CrossFilterConfig, SpectralConfig
+from devices import any_device
+from executions import READABLE, SHADERS
 from test_gpu_evidence import LENS, bent
-from test_gpu_surface import any_device
-from test_spectral_evidence import example
 from worlds import blurred, lens_blur
 
 pytestmark = pytest.mark.extra("gpu", "wgpu")
@@ -28,7 +28,7 @@ def source_for(label_map, config=None):
     """Evidence of an open aperture whose noise is known."""
     blur = lens_blur(LENS, SHAPE[1], SHAPE[0], "cy_open")
     noise = NoiseModel(lambda image: np.full(image.shape, 0.004**2, np.float32), is_known=True)
-    pairs = BlurEvidence(CrossFilterConfig(), blur, label_map, noise, execution_named("numpy"))
+    pairs = BlurEvidence(CrossFilterConfig(), blur, label_map, noise, READABLE)
     return SpectralEvidence(config or SpectralConfig(), pairs)
 
 
@@ -45,9 +45,6 @@ def picture(source, seed):
 @settings(max_examples=4, deadline=None)
 @given(st.sampled_from([(8.0, 10), (11.0, 7)]), st.integers(0, 2**32 - 1))
 def test_spectra_agree(window, seed):
-    from chromaperture.matching.device.device import Chain
-    from chromaperture.matching.device.label_stages import WindowGrid, add_spectra
-
     source = source_for(IDENTITY, SpectralConfig(taper_px=window[0], stride_px=window[1]))
     image = picture(source, seed)
     chain = Chain(any_device())
@@ -62,32 +59,6 @@ def test_spectra_agree(window, seed):
     np.testing.assert_allclose(found[:, :, 0] + 1j * found[:, :, 1], expected, atol=1e-5 * np.abs(expected).max())
 
 
-def likelihood_on_device(spectra, powers, node, noise, config):
-    from chromaperture.matching.device.device import Chain
-    from chromaperture.matching.device.label_stages import add_likelihood
-
-    chain = Chain(any_device())
-    parts = np.stack([spectra.real, spectra.imag], axis=2)
-    arrays = [
-        chain.constant(name, values)
-        for name, values in (("spectra", parts), ("nodes", node.astype(np.uint32)), ("noise", noise))
-    ]
-    source = source_for(IDENTITY, config)
-    found = add_likelihood(chain, arrays[0], powers[None], *arrays[1:], source=source)
-    return chain.run({}, [found.name])[found.name].reshape(powers.shape[1], len(spectra)).T
-
-
-@settings(max_examples=8, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_likelihoods_of_any_covariance_agree(seed):
-    config = SpectralConfig(slopes=(1.0,), channel_error=0.01)
-    made = example(np.random.default_rng(seed))
-    expected = stages.spectral_likelihood(*made, channel_error=config.channel_error, rounds=config.rounds)
-    # Single precision, of some hundred nats.
-    found = likelihood_on_device(*made, config)
-    np.testing.assert_allclose(found, expected, atol=5e-4)  # found: 5e-5
-
-
 @pytest.mark.parametrize("seed", [1, 2])
 def test_likelihoods_of_alike_colours_agree(seed):
     """Real textures: colours that correlate to 0.998 and powers that nearly do."""
@@ -100,10 +71,10 @@ def test_likelihoods_of_alike_colours_agree(seed):
     spectra = model.windows.spectra(without_shading(image), rows, columns)
     powers, node = model.powers()[1], model.nodes(rows, columns)
     noise = source.noise_of_windows(source.noise.variance(image), rows, columns)
-    expected = stages.spectral_likelihood(
-        spectra, powers, node, noise, channel_error=config.channel_error, rounds=config.rounds
+    found, expected = (
+        run.spectral_likelihood(spectra, powers, node, noise, channel_error=config.channel_error, rounds=config.rounds)
+        for run in (SHADERS, READABLE)
     )
-    found = likelihood_on_device(spectra, powers, node, noise, config)
     away = np.abs(found - expected)
     # Nats of a window, 402 px. The picture is grey, so that S nearly is of rank one, and near its limit rounding
     # decides whether a step is taken as a whole.
@@ -113,9 +84,6 @@ def test_likelihoods_of_alike_colours_agree(seed):
 
 @pytest.mark.parametrize("label_map", [IDENTITY, bent(SHAPE)])
 def test_what_labels_earn_agrees(label_map):
-    from chromaperture.matching.device.device import Chain
-    from chromaperture.matching.device.label_stages import WindowGrid, add_windows
-
     source = source_for(label_map)
     layers = np.arange(-9, 10) * 0.9 * source.pairs.blur.reach
     labels = np.linspace(layers[0], layers[-1], 71)

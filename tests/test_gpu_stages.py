@@ -20,7 +20,7 @@ from chromaperture.matching.device.device import Chain, Device, open_device, pas
 from chromaperture.matching.device.measured import add_conversion
 from chromaperture.matching.device.paper_chain import add_paper
 from chromaperture.matching.device.real_time_chain import add_real_time, add_recursions
-from chromaperture.matching.device.view_stages import Planes, add_views
+from chromaperture.matching.device.view_stages import Planes
 from chromaperture.matching.error_bar import without_two_views
 from chromaperture.matching.estimate import method_for
 from chromaperture.matching.labels import IDENTITY, LabelMap, PathWinner, Surface, labels_between
@@ -334,25 +334,6 @@ def both_ways(maps, links, gain=0.7, own=0.4):
             state = (gain if n else 1.0) * maps[:, i] + link * state
             sums[:, i] += state
     return sums
-
-
-@pytest.mark.parametrize(
-    ("shape", "count", "decay"),
-    [((45, 61), 32, 0.8), ((20, 30), 9, 0.9), ((20, 30), 7, 0.3), ((1, 40), 5, 0.8), ((40, 1), 6, 0.8)],
-)
-@pytest.mark.parametrize("design", [*DESIGNS, "cmy_circles"])
-def test_scores_are_those_of_the_readable_stage(design, shape, count, decay):
-    image, space = wavy_capture(design, shape=shape), method_of(design, PAPER).space
-    config = replace(PAPER.correlation, window_decay=decay)
-    layers_px = np.arange(count) * 0.5 - count // 2 * 0.5
-    views = filtered_views(image, space, config=PAPER.views)
-    expected = stages.correlate(views, layers_px, config=config)
-    chain = Chain(open_device("gpu"))
-    planes = add_views(chain, chain.array("image", image.size), shape, space, PAPER.views)
-    for _ in correlation_stages.add_correlation(chain, planes, layers_px, space.directions, config, pitch=count):
-        pass
-    found = chain.run({"image": image}, ["score"])["score"].reshape(expected.shape)
-    assert np.abs(found - expected).max() < SCORE_TOLERANCE
 
 
 def test_loops_are_written_out():

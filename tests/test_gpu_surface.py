@@ -1,36 +1,27 @@
 """The stages of quality "accurate" on a GPU agree with their NumPy twins, from the volume to the surface."""
 
-import os
-
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from chromaperture.matching import readable as stages
 from chromaperture.matching.accurate import PathSurface, path_surface
+from chromaperture.matching.device.device import Chain
+from chromaperture.matching.device.surface_stages import (
+    Grid,
+    add_block_sums,
+    add_gaussian,
+    add_path_surface,
+    gaussian_taps,
+)
 from chromaperture.matching.execution import execution_named
 from chromaperture.matching.planes.block_surface import block_sums
 from chromaperture.matching.planes.depth_edges import BLOCK_PX
 from chromaperture.matching.readable.paths import Posterior
 from chromaperture.settings.methods import AccurateConfig
 from chromaperture.settings.stages import SurfaceConfig
-from devices import EXPECTED
+from devices import any_device
 
 pytestmark = pytest.mark.extra("gpu", "wgpu")
-
-
-def any_device():
-    """Any device: a rasteriser in software where there is no GPU."""
-    from chromaperture.matching.device.device import DeviceError, open_device
-
-    try:
-        return open_device()
-    except DeviceError as error:
-        if os.environ.get(EXPECTED):
-            raise
-        pytest.skip(f"{error}: this is NOT tested")
 
 
 def volume(rng, height, width, count):
@@ -43,39 +34,8 @@ def volume(rng, height, width, count):
     return likelihood.astype(np.float32), guide.astype(np.float32)
 
 
-def path_costs(likelihood, guide, layers, config, **options):
-    from chromaperture.matching.device.device import Chain
-    from chromaperture.matching.device.surface_stages import Grid, add_paths
-
-    chain = Chain(any_device())
-    arrays = [chain.array(name, likelihood[..., :n].size) for name, n in (("l", None), ("g", 1), ("t", None))]
-    add_paths(chain, *arrays, Grid(*likelihood.shape), layers, config=config, **options)
-    return chain.run({"l": likelihood, "g": guide}, ["t"])["t"].reshape(likelihood.shape)
-
-
-# Few sizes, because every size compiles eight shaders; the pictures are hypothesis's.
-SIZES = [(1, 2, 3, 1, 4, 1), (7, 1, 9, 4, 8, 4), (24, 20, 70, 8, 8, 1), (12, 31, 65, 16, 8, 3)]
-
-
-@settings(max_examples=12, deadline=None)
-@given(st.sampled_from(SIZES), st.integers(0, 2**32 - 1))
-def test_path_costs_agree(size, seed):
-    height, width, count, lanes, paths, ahead = size
-    rng = np.random.default_rng(seed)
-    likelihood, guide = volume(rng, height, width, count)
-    layers = np.linspace(-4, 4, count)
-    config = SurfaceConfig(paths=paths)
-    found = path_costs(likelihood, guide, layers, config, lanes=lanes, ahead=ahead)
-    expected = stages.aggregate_paths(likelihood, guide, layers, config=config)
-    # The same operations in single precision: eight sums of some 30 nats.
-    np.testing.assert_allclose(found, expected, atol=2e-3)
-
-
 def path_surface_on_device(likelihood, guide, layers, config):
     """Label, mean and variance of the posterior, and sums of blocks, as `accurate.path_surface` has them."""
-    from chromaperture.matching.device.device import Chain
-    from chromaperture.matching.device.surface_stages import Grid, add_block_sums, add_path_surface
-
     chain, grid = Chain(any_device()), Grid(*likelihood.shape)
     arrays = [chain.array(name, n) for name, n in (("likelihood", grid.size), ("guide", grid.pixels))]
     add_path_surface(chain, *arrays, grid, layers, config=config)
@@ -115,9 +75,6 @@ def test_pictures_of_one_row_of_blocks_or_none(rng, shape):
 @pytest.mark.parametrize(("sigma", "planes", "parts"), [(1.5, 1, 2), (4.0, 3, 3)])
 @pytest.mark.parametrize("shape", [(19, 30), (1, 13), (40, 1)])
 def test_gaussians_are_those_of_opencv(rng, shape, planes, parts, sigma):
-    from chromaperture.matching.device.device import Chain
-    from chromaperture.matching.device.surface_stages import add_gaussian, gaussian_taps
-
     values = rng.normal(size=(planes, *shape, parts)).astype(np.float32)
     chain = Chain(any_device())
     arrays = [chain.array(name, values.size) for name in ("values", "between")]

@@ -19,8 +19,7 @@ from chromaperture.capture.threaded_source import DeviceLostError, LiveSource
 from chromaperture.color.encoding import Encoding
 from chromaperture.products.samples import sample_camera, sample_image
 from chromaperture.system.errors import InputError
-
-WAIT_S = 60.0  # an upper bound for a busy machine; nothing waits so long
+from waiting import WAIT_S, until
 
 
 class Running(FileSource):
@@ -98,13 +97,6 @@ class Numbered(Running):
     def __iter__(self):
         for frame in super().__iter__():
             yield Frame(np.full_like(frame.counts, frame.index), frame.encoding, frame.time_s, frame.index)
-
-
-def until(condition) -> None:
-    end = time.monotonic() + WAIT_S
-    while not condition():
-        assert time.monotonic() < end, "the loop does not come to what is waited for"
-        time.sleep(0.005)
 
 
 def test_the_newest_item_wins_and_a_patient_writer_waits():
@@ -269,7 +261,7 @@ class Pluggable:
         pass
 
 
-def test_a_camera_that_is_unplugged_comes_back_to_the_loop_and_to_its_recording(tmp_path):
+def test_an_unplugged_camera_comes_back_to_the_loop_and_its_recording(tmp_path):
     devices = [Pluggable(30), None, Pluggable(10**9)]
 
     def connect() -> Pluggable:

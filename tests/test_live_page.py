@@ -40,8 +40,8 @@ from chromaperture.system.errors import InputError
 from test_app_page import FAULTS
 from test_app_server import unpack
 from test_device_plan import unpacked
+from waiting import WAIT_S, until
 
-WAIT_S = 60.0  # an upper bound for a busy machine; nothing waits so long
 NAME = "still_life_cy_halves"
 SERVER = pytest.mark.extra("serve", "starlette")
 
@@ -69,13 +69,6 @@ class Still(FileSource):
 
     def __exit__(self, kind, error, trace):
         self.left.set()
-
-
-def until(condition) -> None:
-    end = time.monotonic() + WAIT_S
-    while not condition():
-        assert time.monotonic() < end, "the page does not come to what is waited for"
-        time.sleep(0.005)
 
 
 @contextlib.contextmanager
@@ -224,7 +217,7 @@ def test_the_page_may_load_and_connect_to_nothing_else(tmp_path):
         assert ask(page, "api/photos", method="POST")[0] in (404, 405)  # the app's other parts are not there
 
 
-def test_an_address_of_another_machine_is_refused_at_once_and_the_next_free_port_is_taken():
+def test_an_address_of_another_machine_is_refused_and_a_free_port_is_taken():
     with pytest.raises(InputError, match="--host"):
         bound("203.0.113.7", 0)  # reserved for documentation: nobody has it
     with bound("127.0.0.1", 0) as first:
@@ -366,7 +359,7 @@ def test_beside_tracking_there_is_a_value():
     assert "too little overlap" in tracking_line(Placed(3, 0.1, None, note="lost: too little overlap"))
 
 
-def test_meshes_poses_and_the_path_are_sent_as_they_are_and_freed_when_they_are_replaced(tmp_path):
+def test_meshes_poses_and_the_path_are_sent_and_freed_when_replaced(tmp_path):
     with LiveLoop(Still(), load_camera(sample_camera(NAME)), track=False) as loop:
         view = LiveView(loop, out=tmp_path)
         view.run(until=lambda: view.last is not None)

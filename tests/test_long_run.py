@@ -31,8 +31,8 @@ from chromaperture.reconstruction.fusion import Submap
 from chromaperture.reconstruction.tracking import Keyframe
 from chromaperture.reconstruction.volume import Mesh
 from chromaperture.system.errors import InputError
+from waiting import WAIT_S, until
 
-WAIT_S = 60.0  # an upper bound for a busy machine; nothing waits so long
 SHORT_S = 0.05  # until a stage counts as hanging: less than any of them is held up here
 SAMPLE = sample_camera("still_life_cy_halves")
 SHAPE = (48, 72, 3)
@@ -43,13 +43,6 @@ assert spec.loader is not None
 long_run = importlib.util.module_from_spec(spec)
 sys.modules["long_run"] = long_run
 spec.loader.exec_module(long_run)
-
-
-def until(condition) -> None:
-    end = time.monotonic() + WAIT_S
-    while not condition():
-        assert time.monotonic() < end, "what is waited for does not come"
-        time.sleep(0.005)
 
 
 class Camera(FileSource):
@@ -161,10 +154,10 @@ def test_a_watchdog_without_end_says_nothing_and_one_without_patience_is_refused
             Watchdog(seconds)
 
 
-@pytest.mark.extra("viewer", "viser")
+@pytest.mark.extra("serve", "starlette")
 def test_the_page_names_the_stage_that_hangs_although_no_frame_comes(tmp_path):
     from chromaperture.app.live.page import LivePage
-    from test_live_page import browser, look
+    from test_live_page import post
 
     source = Camera()
     with watched(source) as (loop, _):
@@ -172,20 +165,18 @@ def test_the_page_names_the_stage_that_hangs_although_no_frame_comes(tmp_path):
         drawing = threading.Thread(target=page.run, daemon=True)
         drawing.start()
         try:
-            with browser(page) as own:
-                look(page, own)
-                until(lambda: page.last is not None)
-                source.gate.clear()
-                until(lambda: "source has not finished for" in page.state.content)
-                source.gate.set()
-                until(lambda: "has not finished" not in page.state.content)
+            until(lambda: page.view.last is not None)
+            source.gate.clear()
+            until(lambda: any("source has not finished for" in line for line in post(page, "focus")[1]["hanging"]))
+            source.gate.set()
+            until(lambda: post(page, "focus")[1]["hanging"] == [])
         finally:
             loop.stop()
             drawing.join(WAIT_S)
             page.close()
 
 
-@pytest.mark.extra("viewer", "viser")
+@pytest.mark.extra("serve", "starlette")
 @pytest.mark.parametrize("held_up", ["paused", "source"])
 def test_a_page_without_frames_ends_at_its_time(tmp_path, held_up):
     from chromaperture.app.live.page import LivePage
@@ -195,7 +186,7 @@ def test_a_page_without_frames_ends_at_its_time(tmp_path, held_up):
         page = LivePage(loop, host="127.0.0.1", port=0, out=tmp_path)
         drawing = None
         try:
-            page.run(until=lambda: page.last is not None)
+            page.run(until=lambda: page.view.last is not None)
             if held_up == "paused":
                 loop.paused.set()
             else:
@@ -396,8 +387,8 @@ def test_an_item_can_be_waited_for_with_patience():
 
 @pytest.mark.slow
 def test_a_camera_that_misbehaves_leaves_nothing_behind(tmp_path):
-    """A short run of benchmarks/long_run.py: with the page where viser is installed."""
-    page_shown = importlib.util.find_spec("viser") is not None
+    """A short run of benchmarks/long_run.py: with the page where the server is installed."""
+    page_shown = importlib.util.find_spec("starlette") is not None
     threads, handles = set(threading.enumerate()), len(os.listdir("/proc/self/fd"))
     rows, facts = long_run.run(12.0, page_shown=page_shown, model=False, folder=tmp_path, sample_s=0.2)
     assert facts["failure"] is None
@@ -421,7 +412,7 @@ def test_a_leak_is_found_and_scatter_is_none(rng, leak, flat):
     seconds = np.arange(1200.0)
     rows = np.zeros((len(seconds), len(long_run.COLUMNS)))
     rows[:, 0] = seconds
-    for name, level in (("memory_mb", 800), ("handles", 20), ("threads", 30), ("queued", 1), ("messages", 60),
+    for name, level in (("memory_mb", 800), ("handles", 20), ("threads", 30), ("queued", 1), ("connections", 6),
                         ("blocks", 3e5)):  # fmt: skip
         column = long_run.COLUMNS.index(name)
         warm = np.minimum(seconds / 300, 1) * level  # rises while it warms up

@@ -87,7 +87,7 @@ def run(folder, out, *more):
     return CliRunner().invoke(app, ["evaluate", "quality", *options])
 
 
-def test_a_session_without_a_camera_file_is_judged_board_by_board_without_that_board(session, tmp_path):
+def test_without_a_camera_file_each_board_is_judged_without_itself(session, tmp_path):
     result = run(session, tmp_path)
     assert result.exit_code == 0, result.output
     rows = list(csv.DictReader((tmp_path / "quality" / "distance.csv").read_text(encoding="utf-8").splitlines()))

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from chromaperture.cli.main import main
 from chromaperture.products.rectified import View
 from chromaperture.products.samples import sample_camera, sample_image
 from chromaperture.reconstruction.build_model import glb, quaternion, write_mesh_ply
@@ -314,7 +313,7 @@ def test_what_hides_a_place_and_has_no_distance_does_not_pull():
         assert np.linalg.norm((found.pose - pose_at(k))[:3, 3]) < 2.0
 
 
-def test_points_of_uncertain_distance_count_less_where_their_place_in_the_picture_is_uncertain():
+def test_points_of_uncertain_place_in_the_picture_count_less():
     config = ReconstructionConfig(tracking_scale=1)
     first, then = photograph(pose_at(0)), photograph(pose_at(6.0))
     wrong = np.zeros(SIZE, bool)
@@ -464,19 +463,15 @@ def test_quaternions_turn_as_their_matrix_does():
 
 
 @pytest.mark.extra("reconstruct", "open3d")
-def test_a_camera_that_does_not_move_is_found_where_it_was(tmp_path, monkeypatch, capsys):
+def test_a_camera_that_does_not_move_is_found_where_it_was(run, tmp_path):
     folder, out = tmp_path / "still", tmp_path / "model"
     folder.mkdir()
     for name in ("0.png", "1.png"):
         (folder / name).write_bytes(sample_image("still_life_cy_halves").read_bytes())
-    camera = str(sample_camera("still_life_cy_halves"))
-    command = ["reconstruct", str(folder), "-c", camera, "-o", str(out), "--quality", "real-time", "--json"]
-    monkeypatch.setattr(sys, "argv", ["chromaperture", *command])
-    try:  # typer ends without an exception or with one, by its version
-        main()
-    except SystemExit as end:
-        assert not end.code
-    report = json.loads(capsys.readouterr().out)
+    camera = sample_camera("still_life_cy_halves")
+    result = run("reconstruct", folder, "-c", camera, "-o", out, "--quality", "real-time", "--json")
+    assert result.returncode == 0, result.stderr
+    report = json.loads(result.stdout)
     assert report["frames_tracked"] == 2
     assert report == json.loads((out / "report.json").read_text())
     rows = np.loadtxt(out / "trajectory.txt")
@@ -496,15 +491,12 @@ def test_frames_through_another_film_are_refused(run, tmp_path):
 
 
 @pytest.mark.parametrize("command", ["reconstruct", "live"])
-def test_a_missing_extra_is_named(command, monkeypatch, capsys, tmp_path):
+def test_a_missing_extra_is_named(run, command, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "open3d", None)
     monkeypatch.setitem(sys.modules, "starlette", None)
-    camera = str(sample_camera("still_life_cy_halves"))
-    monkeypatch.setattr(sys, "argv", ["chromaperture", command, str(tmp_path), "-c", camera])
-    with pytest.raises(SystemExit) as left:
-        main()
-    assert left.value.code == 2
-    assert "pip install 'chromaperture[" in capsys.readouterr().err
+    result = run(command, tmp_path, "-c", sample_camera("still_life_cy_halves"))
+    assert result.returncode == 2
+    assert "pip install 'chromaperture[" in result.stderr
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import re
-import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -22,7 +21,7 @@ from chromaperture.calibration.fit_fields import DepthFit
 from chromaperture.calibration.place_boards import BoardDistances
 from chromaperture.calibration.read_boards import BoardMeasurement
 from chromaperture.calibration.session import Session
-from chromaperture.cli.main import app, main
+from chromaperture.cli.main import app
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
 from chromaperture.depth.field import DepthField
@@ -116,6 +115,24 @@ def with_evidence(result, **changes):
 
 def with_distances(result, **changes):
     return with_evidence(result, distances=replace(result.evidence.distances, **changes))
+
+
+@pytest.fixture(scope="module")
+def page(result):
+    """The report, whose eleven pictures take seconds."""
+    return report_html(result, title="a < b")
+
+
+@pytest.fixture
+def printed(run, monkeypatch):
+    """A function that runs `calibrate` with a result that is there: its exit code, and what it printed in one line."""
+
+    def printed(result, *options, report=False):
+        monkeypatch.setattr("chromaperture.calibration.calibrate_session.calibrate_session", lambda *a, **k: result)
+        code, said, _ = run("calibrate", "session", *options, *(() if report else ("--no-report",)))
+        return code, " ".join(said.split())
+
+    return printed
 
 
 def test_the_field_makes_a_flat_board_flat_again(result):
@@ -245,10 +262,9 @@ def test_quality_accurate_is_beside_the_others(result):
     assert "was not measured: it takes" in report_html(large, title="large")
 
 
-def test_the_box_says_that_its_figures_hold_for_texture(result, tmp_path, monkeypatch, capsys):
-    page = report_html(result, title="box")
+def test_the_box_says_that_its_figures_hold_for_texture(result, page, tmp_path, printed):
     box = page[page.index('class="verdict"') : page.index("</section>")]
-    _, said = printed(result, monkeypatch, capsys, "--out", tmp_path / "camera.asdf")
+    _, said = printed(result, "--out", tmp_path / "camera.asdf")
     for text in (box, said):
         assert "one pixel of a textured board is good to 2%" in text
         assert "On weak texture and beside edges of objects pixels are worse" in text
@@ -324,10 +340,10 @@ def test_stated_facts_that_the_photographs_contradict_are_named(result):
     assert "behind the sensor" in found[0]
 
 
-def test_film_of_another_design_cannot_be_used(result, monkeypatch, capsys, tmp_path):
+def test_film_of_another_design_cannot_be_used(result, printed, tmp_path):
     """Halves that were called the open design have 2.5 times its baseline."""
     other = replace(result, session=replace(result.session, nominal_f_number=2.6 * result.session.nominal_f_number))
-    code, said = printed(other, monkeypatch, capsys, "--out", tmp_path / "camera.asdf")
+    code, said = printed(other, "--out", tmp_path / "camera.asdf")
     assert code == 1
     assert "correct design in session.toml" in " ".join(said.split())
 
@@ -363,30 +379,29 @@ class _Page(HTMLParser):
             self.headings.append(data)
 
 
-def test_the_page_is_whole_and_needs_nothing_else(result):
-    text = report_html(result, title="a < b")
-    page = _Page()
-    page.feed(text)
-    assert page.open == []
-    assert page.links == []
-    assert "http" not in re.sub(r'src="data:[^"]*"', "", text)
-    assert "a &lt; b" in text
-    assert "a &lt;note&gt; &amp; more" in text
-    assert len(page.headings) == 15
-    assert len(page.images) == 11
-    for source in page.images:
+def test_the_page_is_whole_and_needs_nothing_else(page):
+    parsed = _Page()
+    parsed.feed(page)
+    assert parsed.open == []
+    assert parsed.links == []
+    assert "http" not in re.sub(r'src="data:[^"]*"', "", page)
+    assert "a &lt; b" in page
+    assert "a &lt;note&gt; &amp; more" in page
+    assert len(parsed.headings) == 15
+    assert len(parsed.images) == 11
+    for source in parsed.images:
         data = base64.b64decode(source.removeprefix("data:image/png;base64,"))
         picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
         assert picture.std() > 5  # something is drawn on it
 
 
-def test_a_tone_curve_has_a_section(result):
+def test_a_tone_curve_has_a_section(result, page):
     sensor = replace(result.calibration.sensor, response=(0.8, 0.7, 1.5))
     bent = replace(result, calibration=replace(result.calibration, sensor=sensor))
-    plain, text = (report_html(r, title="tones") for r in (result, bent))
+    text = report_html(bent, title="tones")
     assert "Tone curve" in text
-    assert "Tone curve" not in plain
-    assert text.count("data:image/png") == plain.count("data:image/png") + 1
+    assert "Tone curve" not in page
+    assert text.count("data:image/png") == page.count("data:image/png") + 1
 
 
 def test_what_is_missing_leaves_its_section_out_of_pictures(result, tmp_path):
@@ -402,48 +417,29 @@ def test_what_is_missing_leaves_its_section_out_of_pictures(result, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command_writes_the_report_beside_the_camera(result, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("chromaperture.calibration.calibrate_session.calibrate_session", lambda *a, **k: result)
-
-    def run(*options):
-        monkeypatch.setattr(sys, "argv", ["chromaperture", "calibrate", "session", "-q", *map(str, options)])
-        assert exit_code() == 0
-
-    run("--out", tmp_path / "a" / "camera.asdf")
+def test_the_command_writes_the_report_beside_the_camera(result, tmp_path, printed):
+    assert printed(result, "--out", tmp_path / "a" / "camera.asdf", report=True)[0] == 0
     assert {p.name for p in (tmp_path / "a").iterdir()} == {"camera.asdf", "camera.report.html"}
-    run("--out", tmp_path / "b" / "camera.asdf", "--no-report")
+    assert printed(result, "--out", tmp_path / "b" / "camera.asdf")[0] == 0
     assert {p.name for p in (tmp_path / "b").iterdir()} == {"camera.asdf"}
-    run("--out", tmp_path / "c" / "camera.asdf", "--report", tmp_path / "d" / "page.html")
+    elsewhere = ("--report", tmp_path / "d" / "page.html")
+    assert printed(result, "--out", tmp_path / "c" / "camera.asdf", *elsewhere, report=True)[0] == 0
     assert (tmp_path / "d" / "page.html").is_file()
     assert not (tmp_path / "c" / "camera.report.html").exists()
 
 
-def exit_code() -> int:
-    try:
-        main()
-    except SystemExit as end:
-        return end.code or 0
-    return 0
-
-
-def printed(result, monkeypatch, capsys, *options):
-    monkeypatch.setattr("chromaperture.calibration.calibrate_session.calibrate_session", lambda *a, **k: result)
-    monkeypatch.setattr(sys, "argv", ["chromaperture", "calibrate", "session", "--no-report", *map(str, options)])
-    return exit_code(), " ".join(capsys.readouterr().out.split())
-
-
-def test_the_command_prints_the_error_over_the_frame_and_the_verdict(result, tmp_path, monkeypatch, capsys):
+def test_the_command_prints_the_error_over_the_frame_and_the_verdict(result, tmp_path, printed):
     offset = np.array(result.residual_px["real-time"], copy=True)
     offset[3] += 0.1  # px over the frame, nothing in the middle
     shifted = replace(result, residual_px={"real-time": offset, "paper": offset})
-    code, said = printed(shifted, monkeypatch, capsys, "--out", tmp_path / "camera.asdf")
+    code, said = printed(shifted, "--out", tmp_path / "camera.asdf")
     assert code == 0
     assert f"{100 * board_errors(shifted)[3] / RULERS[3]:+.2f}" in said
     for sentence in sentences(shifted):
         assert sentence.text in said
 
 
-def test_a_camera_that_cannot_be_used_ends_with_1(result, tmp_path, monkeypatch, capsys):
+def test_a_camera_that_cannot_be_used_ends_with_1(result, tmp_path, printed):
     nothing = np.full_like(result.residual_px["real-time"], np.nan)
     far_off = result.residual_px["real-time"] + np.float32(0.5)
     unread = replace(result.session, tilts=(tmp_path / "tilt.png",))
@@ -452,7 +448,7 @@ def test_a_camera_that_cannot_be_used_ends_with_1(result, tmp_path, monkeypatch,
         (replace(result, residual_px={"real-time": far_off, "paper": far_off}), "half of the boards are off"),
         (replace(result, session=unread, intrinsics=None), "in any of 1 tilted"),
     ):
-        code, said = printed(broken, monkeypatch, capsys, "--out", tmp_path / "camera.asdf")
+        code, said = printed(broken, "--out", tmp_path / "camera.asdf")
         assert code == 1
         assert "cannot be used" in said
         assert words in said

@@ -14,7 +14,7 @@ from chromaperture.matching.result import ESTIMATED_NOISE, NoiseModel
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.settings.stages import CrossFilterConfig, SpectralConfig
 from chromaperture.system.errors import InputError
-from worlds import lens_blur
+from worlds import lens_blur, spectral_example
 
 W, H = 160, 120
 FAST, SLOW = execution_named("numba"), execution_named("numpy")
@@ -40,37 +40,9 @@ def seen(spectra, blur, layer_px, shape):
     return scipy.fft.irfft2(spectra * transfer).transpose(1, 2, 0)[: shape[0], : shape[1]]
 
 
-def example(rng, windows=7, layers=4, frequencies=20):
-    """Windows of random channels, and powers that mix three random transfer functions a frequency."""
-    h = rng.standard_normal((2, layers, 3, frequencies, 3)) + 1j * rng.standard_normal((2, layers, 3, frequencies, 3))
-    g = np.einsum("klafi,klbfi->klfabi", h, h.conj()).mean(axis=-1)
-    parts = [g[..., k, k].real for k in range(3)]
-    for i, j in ((0, 1), (0, 2), (1, 2)):
-        parts += [g[..., i, j].real, g[..., i, j].imag]
-    powers = np.stack(parts, axis=2).astype(np.float32)
-    mix = rng.standard_normal((3, 3))
-    y = rng.standard_normal((windows, 3, frequencies)) + 1j * rng.standard_normal((windows, 3, frequencies))
-    spectra = np.einsum("ij,mjf->mif", mix, y).astype(np.complex64)
-    return spectra, powers, np.arange(windows) % 2, np.full((windows, 3), 0.1, np.float32)
-
-
-@pytest.mark.parametrize("rounds", [1, 3])
-@pytest.mark.parametrize(("channel_error", "noise_power", "rtol"), [(0.01, 0.1, 1e-5), (0.002, 1e-4, 2e-4)])
-def test_compiled_and_readable_agree(rng, rounds, channel_error, noise_power, rtol):
-    """Float32 against doubles; in the second case channels have 0.002 of their power for themselves, and no noise."""
-    spectra, powers, node, noise = example(rng)
-    if channel_error < 0.01:
-        alike = np.repeat(spectra[:, :1], 3, axis=1)
-        spectra = alike * np.array([1, 0.9, 0.8], np.float32)[:, None] + 0.03 * spectra
-        powers[:, :, 1:3], powers[:, :, 3::2], powers[:, :, 4::2] = powers[:, :, :1], powers[:, :, :1], 0
-    given = spectra.astype(np.complex64), powers, node, np.full_like(noise, noise_power)
-    fast, slow = (run.spectral_likelihood(*given, channel_error=channel_error, rounds=rounds) for run in (FAST, SLOW))
-    np.testing.assert_allclose(fast, slow, rtol=rtol)
-
-
 def test_colours_are_those_of_highest_likelihood(rng):
     """The rounds against scipy's optimiser, which is given the density alone, of one layer."""
-    spectra, powers, node, noise = example(rng, windows=3, layers=1)
+    spectra, powers, node, noise = spectral_example(rng, windows=3, layers=1)
     found = FAST.spectral_likelihood(spectra, powers, node, noise, channel_error=0.01, rounds=300)[:, 0]
     g = np.zeros((2, powers.shape[3], 3, 3), complex)
     for k in range(3):

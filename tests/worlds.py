@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import scipy.fft
 import tifffile
+from hypothesis import strategies as st
 
 from chromaperture.calibration.curves import Evidence
 from chromaperture.calibration.place_boards import BoardDistances
@@ -30,6 +31,7 @@ from chromaperture_paper.sweep import Trial
 
 # ---- textured planes, displaced view by view as the aperture would displace them
 
+ALL_DESIGNS = ("rgb_circles", "rgb_squares", "cmy_squares", "cmy_circles", "cy_halves", "cy_open")
 SIN60 = np.sqrt(3) / 2
 # Which way an object beyond focus moves in the view of each film, x right, y down: towards the film.
 LAYOUT = {
@@ -115,6 +117,31 @@ def wavy_capture(
     if saturated:
         image[5:15, 40:50] = 1.0
     return image.astype(np.float32)
+
+
+@st.composite
+def hostile_images(draw):
+    """Noise of any size from 1 x 2 px, with unknown and saturated pixels; (H, W, 3) float32."""
+    shape = draw(st.tuples(st.integers(1, 40), st.integers(1, 40)))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    image = rng.uniform(0, 0.9, (*shape, 3)).astype(np.float32)
+    for value in (1.0, np.nan, np.inf):
+        image[rng.random(shape) < draw(st.sampled_from([0.0, 0.1]))] = value
+    return image
+
+
+def spectral_example(rng, windows=7, layers=4, frequencies=20):
+    """Windows of random channels, and powers that mix three random transfer functions a frequency."""
+    h = rng.standard_normal((2, layers, 3, frequencies, 3)) + 1j * rng.standard_normal((2, layers, 3, frequencies, 3))
+    g = np.einsum("klafi,klbfi->klfabi", h, h.conj()).mean(axis=-1)
+    parts = [g[..., k, k].real for k in range(3)]
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        parts += [g[..., i, j].real, g[..., i, j].imag]
+    powers = np.stack(parts, axis=2).astype(np.float32)
+    mix = rng.standard_normal((3, 3))
+    y = rng.standard_normal((windows, 3, frequencies)) + 1j * rng.standard_normal((windows, 3, frequencies))
+    spectra = np.einsum("ij,mjf->mif", mix, y).astype(np.complex64)
+    return spectra, powers, np.arange(windows) % 2, np.full((windows, 3), 0.1, np.float32)
 
 
 # ---- cameras of cyan and yellow halves
