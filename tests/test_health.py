@@ -11,8 +11,8 @@ from PIL import Image
 
 from chromaperture.capture.exif import Exif, read_exif
 from chromaperture.depth.conversion import DepthModel
-from chromaperture.evaluation.checks import is_healthy
-from chromaperture.evaluation.health import check_camera, measure_tint, outcome
+from chromaperture.evaluation.checks import is_healthy, measure_tint
+from chromaperture.evaluation.health import check_camera, outcome
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Board
 from chromaperture.optics.aperture import DESIGNS, centroids, made_of

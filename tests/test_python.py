@@ -30,8 +30,8 @@ from chromaperture import tasks
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.color.color_maps import UNKNOWN
 from chromaperture.frame import frame_files
-from chromaperture.frame.frame_files import OUTPUTS, color_pictures
-from chromaperture.frame.preview import ColorScale, write_preview
+from chromaperture.frame.frame_files import OUTPUTS
+from chromaperture.frame.preview import ColorScale, color_pictures, write_preview
 from chromaperture.products import archive
 from worlds import content, painted_kernels
 

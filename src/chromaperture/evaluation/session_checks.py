@@ -22,9 +22,16 @@ from chromaperture.color.image import SATURATION
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import DepthModel
 from chromaperture.depth.field import DepthField
-from chromaperture.evaluation.checks import NOTHING_SEEN, Check, Exposure, is_healthy, is_uneven, urgent_first
+from chromaperture.evaluation.checks import (
+    NOTHING_SEEN,
+    Check,
+    Exposure,
+    is_healthy,
+    is_uneven,
+    measure_tint,
+    urgent_first,
+)
 from chromaperture.evaluation.edge_blur import edge_blur, pupil_spread
-from chromaperture.evaluation.health import measure_tint
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Film
 from chromaperture.optics.aperture import channel_transmission, design_named, made_of
