@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 
 # What atheris counts the branches of. Not the kernels: Numba cannot compile what it changes.
 INSTRUMENTED = ["chromaperture." + module for module in (
-    "validation", "asdf_input", "camera_parts", "camera_file", "config_file", "capture.files", "capture.tiff",
-    "capture.picture_header", "capture.recording", "calibration.session",
-    "depth.field_file", "optics.svg", "optics.aperture_file", "optics.prescription", "products.result_files",
-    "products.posed_sequence",
+    "system.validation", "model.asdf_input", "model.camera_parts", "model.camera_file", "settings.toml_file",
+    "capture.files", "capture.tiff", "capture.picture_header", "capture.recording", "calibration.session",
+    "depth.field", "optics.printing.template", "optics.printing.aperture_file", "optics.prescription",
+    "products.result_files", "products.posed_sequence",
 )] + ["svgelements", "tifffile", "tomllib"]  # fmt: skip
 SLOW_S = 5.0  # for one file; all of the corpus are read in well under a second
 IN_MEMORY = "/dev/shm"  # files are written here, where there is such a folder
