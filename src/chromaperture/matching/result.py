@@ -5,12 +5,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from chromaperture.color.lens_shift import LensMoves
 from chromaperture.color.noise import estimate_noise_variance
+
+if TYPE_CHECKING:
+    from chromaperture.color.lens_shift import LensMoves
 
 T = TypeVar("T")
 
