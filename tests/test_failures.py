@@ -434,7 +434,7 @@ def test_too_little_memory_is_one_line(small, tmp_path):
     ended = child(f"""
 import resource, sys
 from chromaperture.__main__ import main
-import chromaperture.cli.main, chromaperture.products.measure_file, chromaperture.matching.compiled.strips
+import av, chromaperture.cli.main, chromaperture.products.measure_file, chromaperture.matching.compiled.strips
 pages = int(open("/proc/self/statm").read().split()[0])
 resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + 150_000_000,) * 2)
 sys.argv = ["chromaperture", "depth", "{tmp_path}/large.png", "--design", "cy_halves", "--out", "{tmp_path}/out"]
