@@ -1,6 +1,6 @@
 """Evidence from the camera's blur on a device: from a photograph to the unexplained fractions of every layer.
 
-``blur_evidence.py`` explains what is computed. Tiles are transformed in shared memory, row by row and column by
+``evidence/blur.py`` explains what is computed. Tiles are transformed in shared memory, row by row and column by
 column. Transfer functions are not: traced rays fall into a square as small as the blur, whose rows and columns are
 transformed directly, at the frequencies that the samples have and no others. Layers go through in rounds, as many at a
 time as a quarter of a gigabyte holds; what a round works on is used again by the next.

@@ -1,7 +1,7 @@
 """One surface for the flat and the curved: planes where evidence is weak, a plate that bends where it is strong.
 
 Windows and paths pool tens of pixels, a wall has tens of thousands. All evidence is summed over blocks of 4 px. Regions
-between the depth edges that the photograph shows (`depth_edges.py`) choose planes and join (`plane_regions.py`): that
+between the depth edges that the photograph shows (`depth_edges.py`) choose planes and join (`regions.py`): that
 tells where weakly textured surfaces are. Where the evidence of blocks themselves speaks against their plane, the
 surface of the paths stays. From there a thin plate follows the evidence (`thin_plate.py`).
 """

@@ -30,7 +30,7 @@ def cross_filter(
     size_px: int,
     damping: float,
 ) -> None:
-    """Add P and Q of tiles at one distance to a canvas, see ``blur_evidence.py``.
+    """Add P and Q of tiles at one distance to a canvas, see ``evidence/blur.py``.
 
     Parameters
     ----------
