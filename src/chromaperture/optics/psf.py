@@ -84,7 +84,7 @@ def geometric_psf(aperture: Aperture, radius_px: float, size: int, *, oversampli
 def pupil_samples(aperture: Aperture, cells: int, supersampling: int = 8) -> tuple[np.ndarray, np.ndarray]:
     """Sample the pupil by the cells of a square grid: points (S, 2), pupil radii, and light in R, G, B (S, 3).
 
-    Every cell averages ``supersampling``^2 midpoints, so that one cut by a rim is weighted by its area; with an even
+    Every cell averages ``supersampling**2`` midpoints, so that one cut by a rim is weighted by its area; with an even
     count of cells a division along an axis lies between them. The light sums to the channel transmissions.
     """
     fine = cells * supersampling
