@@ -79,7 +79,7 @@ def fit_to_rays(open_rays: RayTable, *, pupil_radius_mm: float) -> tuple[BlurMod
     ``D = o + z s``; a point of the scene at z is therefore displaced by ``-J D / z`` on the sensor, J being the px that
     a change of the chief ray's slope by 1 is. That is linear in all numbers of the model but its rims.
 
-    ``open_rays``: of the lens without film; ``pupil_radius_mm``: of the entrance pupil. Returns ``model`` without
+    ``open_rays``: of the lens without film; ``pupil_radius_mm``: of the entrance pupil. Returns ``model``: without
     errors of colour; ``rms_px`` of the rays that no rim cuts, from the model, for a point at infinity.
     """
     green = 1 if len(open_rays.origin) == 3 else 0

@@ -116,7 +116,7 @@ def measured_by_pair(
 ) -> tuple[world.Capture, np.ndarray, float]:
     """Photograph a scene with two cameras, exposed to the same level as the others, and match them.
 
-    Returns ``capture`` the left picture and its truth; ``depth_mm`` (H, W) float64, NaN unknown; ``seconds`` of the
+    Returns ``capture``: the left picture and its truth; ``depth_mm`` (H, W) float64, NaN unknown; ``seconds`` of the
     matching.
     """
     stopped = replace(camera, pupil_radius_mm=camera.pupil_radius_mm / STOPPED)

@@ -41,9 +41,8 @@ class PlannedSession:
     black_level: float | None = None  # counts of no light
     white_level: float | None = None  # and of a full pixel
     mosaic: str | None = None  # Bayer pattern of grey files
-    tone_error: float | None = (
-        None  # of the exponent by which decoded values grow with light, if two exposures showed it
-    )
+    # Of the exponent by which decoded values grow with light, if two exposures showed it
+    tone_error: float | None = None
 
     def __post_init__(self) -> None:
         beyond = self.focus_mm < self.farthest_mm or math.isinf(self.focus_mm)

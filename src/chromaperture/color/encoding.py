@@ -100,7 +100,7 @@ NOTHING_STATED = StatedFacts()
 class Encoding:
     """Conversion of counts to linear light."""
 
-    # ``black_level``, ``white_level``: Counts of no light and of a full well.
+    # ``black_level``, ``white_level``: counts of no light and of a full well.
     black_level: float = 0.0
     white_level: float = 65535.0
     curve: str = "linear"  # transfer by which values are decoded, see `Transfer`; levels apply before it

@@ -39,10 +39,10 @@ class LensMoves(NamedTuple):
     # (rows, columns, radii, 6) float32, px of the working scale: displacement of R, G, B, x before y each, at positions
     # evenly spaced over the frame and at blur radii.
     table: np.ndarray
-    # ``first_px``, ``step_px``: The first radius, and from one to the next.
+    # ``first_px``, ``step_px``: the first radius, and from one to the next.
     first_px: float
     step_px: float
-    # ``at_zero_px``, ``per_px``: Radius at disparity 0, and by how much it grows a px of disparity, both of the
+    # ``at_zero_px``, ``per_px``: radius at disparity 0, and by how much it grows a px of disparity, both of the
     # photograph.
     at_zero_px: float
     per_px: float

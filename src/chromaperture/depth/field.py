@@ -51,7 +51,7 @@ class LocalField:
 class FieldNumbers(NamedTuple):
     """What the curves of a frame are computed from, for a device that keeps no maps of them."""
 
-    # ``width_px``, ``height_px``: Of the frame.
+    # ``width_px``, ``height_px``: of the frame.
     width_px: int
     height_px: int
     # ``infinity_px``, ``scale_px_mm``: (n + 1, n + 1) float64: of A and B: coefficient (i, j) is that of T_i(u) T_j(v),
@@ -60,7 +60,7 @@ class FieldNumbers(NamedTuple):
     scale_px_mm: np.ndarray
     pupil_mm: float
     local: np.ndarray  # (2, h, w) float32: added to A and B, bilinear on a grid, constant beyond it
-    # ``local_start_px``, ``local_step_px``: Position of the grid's first column and row, and its pitch.
+    # ``local_start_px``, ``local_step_px``: position of the grid's first column and row, and its pitch.
     local_start_px: float
     local_step_px: float
     # (6, h, w) float32: AA, AB, A delta, BB, B delta, delta delta, bilinear between nodes evenly spaced over the frame.

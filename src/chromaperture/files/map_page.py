@@ -90,7 +90,7 @@ class Panel:
     title: str
     values: np.ndarray  # (H, W) float, NaN unknown
     unit: str
-    # ``low``, ``high``: Values of the first and the last colour.
+    # ``low``, ``high``: values of the first and the last colour.
     low: float
     high: float
     colors: str  # name of a colour map, see `color_maps`

@@ -36,7 +36,7 @@ _TICKS = 7  # at most, on a colour bar
 class ColorScale:
     """Colours of a map."""
 
-    # ``low``, ``high``: Values of the first and the last colour.
+    # ``low``, ``high``: values of the first and the last colour.
     low: float
     high: float
     colors: str  # of `color_maps`

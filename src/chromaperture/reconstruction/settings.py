@@ -30,7 +30,7 @@ class ReconstructionConfig:
     min_overlap: float = 0.3
     # Of the view's brightness with the keyframe's at the estimated pose, else the frame is lost.
     min_correlation: float = 0.5
-    # ``max_step_mm``, ``max_turn_deg``: Largest difference between the estimated pose and its guess, else the frame is
+    # ``max_step_mm``, ``max_turn_deg``: largest difference between the estimated pose and its guess, else the frame is
     # lost.
     max_step_mm: float = 300.0
     max_turn_deg: float = 20.0

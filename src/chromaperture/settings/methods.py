@@ -1,4 +1,4 @@
-"""Every default of the method: one frozen dataclass a method, composed of its stages' (`stages.py`).
+"""Every default of the method: one frozen dataclass a method, composed of its stages' (`readable.py`).
 
 A stage receives only its own section. Every value can be set from Python and from TOML (`toml_file.py`).
 docs/decisions.md has the alternatives that were measured.

@@ -17,7 +17,7 @@ _ANY_POWER = np.empty((0, 0, 2), np.float32)  # as powers of views in focus: not
 def band_correlation(
     fine: np.ndarray, coarse: np.ndarray, *, sigma: float, seen: np.ndarray | None = None, allowed_growth: float = 1.0
 ) -> np.ndarray:
-    """Correlate both pictures of a pair in one band, as `stages.band_correlation`."""
+    """Correlate both pictures of a pair in one band, as `readable.band_correlation`."""
     windows = _windows(fine, coarse, sigma)
     out = np.empty(windows.shape[:2], np.float32)
     _normalised(windows, _ANY_POWER if seen is None else seen, np.float32(allowed_growth), out)
@@ -25,7 +25,7 @@ def band_correlation(
 
 
 def band_powers(fine: np.ndarray, coarse: np.ndarray, *, sigma: float) -> np.ndarray:
-    """Return the powers of both pictures in the windows of `band_correlation`, as `stages.band_powers`."""
+    """Return the powers of both pictures in the windows of `band_correlation`, as `readable.band_powers`."""
     return np.ascontiguousarray(_windows(fine, coarse, sigma)[..., 1:])
 
 

@@ -17,7 +17,7 @@ from chromaperture.system.threads import in_parallel, thread_count
 def bilateral_winner(
     views: Views, layers_px: np.ndarray, *, correlation: CorrelationConfig, bilateral: BilateralConfig
 ) -> Winner:
-    """Take the best layer of the filtered scores, as `stages.bilateral_winner`."""
+    """Take the best layer of the filtered scores, as `readable.bilateral_winner`."""
     height, width = views.mask.shape
     link = even_link(bilateral.sigma_px)
     first, step = np.float32(layers_px[0]), np.float32(layers_px[1] - layers_px[0])

@@ -193,7 +193,7 @@ def _score_band(halves, plan, samples, sums, top, bottom, columns, rows, volume)
 
 @inner
 def _count_by_own_sign(volume, at, slabs):
-    """Turn the signs of a cell's scores where its strongest one is negative, as `stages.correlation.of_own_sign`."""
+    """Turn the signs of a cell's scores where its strongest one is negative, as `readable.correlation.of_own_sign`."""
     least = v.load_shorts(volume, at)
     most = least
     end = at + slabs * BLOCK * v.LANES

@@ -50,7 +50,7 @@ _MOST_SAMPLES_A_PX = 8  # of an up-sampled view; finer layers are sampled one by
 
 
 def correlate(views: Views, layers_px: np.ndarray, *, config: CorrelationConfig) -> np.ndarray:
-    """Score every layer, as `stages.correlate`; (H, W, D) float32, rounded to 1 / 32000."""
+    """Score every layer, as `readable.correlate`; (H, W, D) float32, rounded to 1 / 32000."""
     height, width = views.mask.shape
     shape = (height, width) if config.cell_px == 1 else (-(-height // 2), -(-width // 2))
     out = np.empty((*shape, len(layers_px)), np.float32)
@@ -64,7 +64,7 @@ def correlate(views: Views, layers_px: np.ndarray, *, config: CorrelationConfig)
 
 
 def texture_weights(views: Views, *, config: CorrelationConfig) -> np.ndarray:
-    """Weight every pixel by its texture against its noise, as `stages.texture_weights`; (H, W) float32."""
+    """Weight every pixel by its texture against its noise, as `readable.texture_weights`; (H, W) float32."""
     with workspace() as memory:
         _, maps = filtered_scores(views, np.zeros(0), memory, config=config)
         return maps.weights.copy()
@@ -281,6 +281,6 @@ def _planes(maps: np.ndarray) -> np.ndarray:
 
 
 def _variance_floor(planes: np.ndarray) -> np.ndarray:
-    """Variance below which a view counts as even, as `stages.correlation.variance_floor`; (K,) float32."""
+    """Variance below which a view counts as even, as `readable.correlation.variance_floor`; (K,) float32."""
     variances = [cv2.norm(plane, cv2.NORM_L2SQR) / plane.size - cv2.mean(plane)[0] ** 2 for plane in planes]
     return (RELATIVE_EPSILON * np.array(variances) + 1e-30).astype(np.float32)

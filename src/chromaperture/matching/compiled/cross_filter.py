@@ -25,7 +25,7 @@ def cross_filter(
     size_px: int,
     damping: float,
 ) -> None:
-    """Add P and Q of tiles at one distance to a canvas, as `stages.cross_filter`."""
+    """Add P and Q of tiles at one distance to a canvas, as `readable.cross_filter`."""
     pairs, _, size, columns = tiles[0].spectra.shape
     transfers = np.empty((len(tiles[0].rays.light), size, columns), np.complex64)
     both, views = np.empty((pairs, size, size, 2), np.float32), np.empty((size, size, 2), np.float32)

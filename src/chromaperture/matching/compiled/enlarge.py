@@ -15,7 +15,7 @@ _HALF = np.float32(0.5)
 
 
 def enlarge(surface: Surface, guide: np.ndarray) -> Surface:
-    """Bring a surface to full resolution, as `stages.enlarge`."""
+    """Bring a surface to full resolution, as `readable.enlarge`."""
     guide = np.ascontiguousarray(guide, np.float32)
     out = Surface(*(np.empty(guide.shape, np.float32) for _ in range(3)))
     small = Surface(*(np.ascontiguousarray(part, np.float32) for part in surface))

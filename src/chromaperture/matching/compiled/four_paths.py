@@ -30,7 +30,7 @@ def four_path_winner(
     paths: FourPathsConfig,
     labels_px: np.ndarray | None = None,
 ) -> PathWinner:
-    """Find the best label of every pixel along four paths, as `stages.four_path_winner`."""
+    """Find the best label of every pixel along four paths, as `readable.four_path_winner`."""
     guide, mask = views.guide, views.mask
     if correlation.cell_px == 2:
         guide, mask = cells_of(guide), cells_of(mask)

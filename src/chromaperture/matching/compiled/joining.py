@@ -12,7 +12,7 @@ from chromaperture.system.compilation import compiled, inlined
 def join_regions(
     total: np.ndarray, pairs: np.ndarray, border: np.ndarray, *, plane_penalty: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Join neighbours while the energy falls, as `stages.join_regions`."""
+    """Join neighbours while the energy falls, as `readable.join_regions`."""
     total, into = np.array(total, np.float64), np.arange(len(total))
     _join_regions(total, pairs.astype(np.int64), border.astype(np.float64), float(plane_penalty), into)
     return into, total

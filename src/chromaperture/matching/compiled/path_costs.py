@@ -155,7 +155,7 @@ def _lines(volume, sums, settings, count):
     for s in range(settings.layers, slabs * v.LANES):
         closed[s] = _CLOSED
     paths = np.empty(2 * count * pitch, np.float32)
-    unit = np.float32(32000) / (_TWO * settings.jump)  # `stages.four_paths.path_parts`
+    unit = np.float32(32000) / (_TWO * settings.jump)  # `readable.four_paths.path_parts`
     return Lines(volume, sums, paths, np.empty(count * v.LANES, np.float32), closed, pitch, slabs, unit)
 
 

@@ -30,7 +30,7 @@ _LINE = 16  # numbers of a line of the cache
 
 
 class Penalties(NamedTuple):
-    """As `stages.paths.PathPenalties`, in float32."""
+    """As `readable.paths.PathPenalties`, in float32."""
 
     slope_per_layer: np.float32
     jump: np.float32
@@ -41,7 +41,7 @@ class Penalties(NamedTuple):
 def aggregate_paths(
     likelihood: np.ndarray, guide: np.ndarray, layers_px: np.ndarray, *, config: SurfaceConfig
 ) -> np.ndarray:
-    """Sum the path costs, as `stages.aggregate_paths`; (H, W, D) float32."""
+    """Sum the path costs, as `readable.aggregate_paths`; (H, W, D) float32."""
     likelihood, guide = (np.ascontiguousarray(maps, np.float32) for maps in (likelihood, guide))
     penalties = Penalties(*map(np.float32, penalties_of(config, layers_px)))
     total = volume(likelihood.shape)
@@ -58,7 +58,7 @@ def aggregate_paths(
 
 
 def posterior(cost: np.ndarray, layers_px: np.ndarray, *, temperature: float) -> Posterior:
-    """Return mean and variance of the layers, as `stages.posterior`."""
+    """Return mean and variance of the layers, as `readable.posterior`."""
     cost = np.ascontiguousarray(cost, np.float32)
     mean, variance = np.empty((2, *cost.shape[:2]), np.float32)
 
@@ -83,7 +83,7 @@ def read_at_labels(
     shape: tuple[int, ...] | None = None,
     spacing_px: int = 1,
 ) -> np.ndarray:
-    """Interpolate a volume at the labels of a map, as `stages.read_at_labels`; (H, W, N) float32."""
+    """Interpolate a volume at the labels of a map, as `readable.read_at_labels`; (H, W, N) float32."""
     shape = shape or likelihood.shape[:2]
     out = volume((*shape, len(labels_px)))
     step = float(layers_px[1] - layers_px[0])

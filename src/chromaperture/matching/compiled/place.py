@@ -37,7 +37,7 @@ _SEVENTH, _FIFTH, _LEAST_BEND = np.float32(1 / 7), np.float32(1 / 5), np.float32
 
 
 def place_by_correlation(winner: PathWinner, layer_count: int, *, view_count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the place between the layers and its information, as `stages.place_by_correlation`."""
+    """Return the place between the layers and its information, as `readable.place_by_correlation`."""
     shape = winner.layer.shape
     if winner.layer.size < v.LANES:
         return readable_place(winner, layer_count, view_count=view_count)
@@ -69,7 +69,7 @@ def halved_surface(
     *,
     cell_px: int = 1,
 ) -> Surface:
-    """Return the surface of the halved picture, as `stages.halved_surface`."""
+    """Return the surface of the halved picture, as `readable.halved_surface`."""
     first, step = np.float32(layers_px[0]), np.float32(layers_px[1] - layers_px[0])
     disparity = np.asarray(label_map.disparity(first + step * place), np.float32)
     extent = local_range(disparity, -(-EDGE_REACH_PX // cell_px))

@@ -12,7 +12,7 @@ from chromaperture.system.threads import in_parallel
 
 
 def plane_costs(likelihood: np.ndarray, planes: np.ndarray, labels_px: np.ndarray, costs: PlaneCosts) -> np.ndarray:
-    """Cost of every plane at every pixel, as `stages.plane_costs`; (H, W, K) float32."""
+    """Cost of every plane at every pixel, as `readable.plane_costs`; (H, W, K) float32."""
     likelihood = np.ascontiguousarray(likelihood, np.float32)
     step = float(labels_px[1] - labels_px[0])
     places = np.asarray(planes, float) / step  # labels count from the first, in layers
@@ -36,7 +36,7 @@ def agreed_plane(
     tolerance_px: float,
     rounds: int,
 ) -> np.ndarray:
-    """Find the plane that most points agree with, and fit it, as `stages.agreed_plane`."""
+    """Find the plane that most points agree with, and fit it, as `readable.agreed_plane`."""
     plane = np.empty(3)
     found = _agreed_plane(corners, x, y, label, weight, tolerance_px, rounds, plane)
     return plane if found else np.full(3, np.nan)

@@ -16,7 +16,7 @@ from chromaperture.system.threads import in_parallel
 def smooth_along_surface(
     maps: Sequence[np.ndarray], guide: np.ndarray, layer: np.ndarray, *, sigma_px: float
 ) -> list[np.ndarray]:
-    """Sum maps over their neighbourhood, as `stages.smooth_along_surface`; float32."""
+    """Sum maps over their neighbourhood, as `readable.smooth_along_surface`; float32."""
     out = [np.array(values, np.float32) for values in maps]
     guide, link = np.ascontiguousarray(guide, np.float32), np.float32(even_link(sigma_px))
 

@@ -25,7 +25,7 @@ _FACTORS = 4  # determinants of a product: each may be 1e-77 before it leaves th
 def spectral_likelihood(
     spectra: np.ndarray, powers: np.ndarray, node: np.ndarray, noise: np.ndarray, *, channel_error: float, rounds: int
 ) -> np.ndarray:
-    """Sum the log-likelihood of windows, as `stages.spectral_likelihood`; (M, D) float32."""
+    """Sum the log-likelihood of windows, as `readable.spectral_likelihood`; (M, D) float32."""
     parts = np.stack([spectra.real, spectra.imag], axis=2).reshape(len(spectra), 6, -1).astype(np.float32)
     out = np.empty((len(spectra), powers.shape[1]), np.float32)
     more, noise = np.float32(1 + channel_error), np.ascontiguousarray(noise, np.float32)

@@ -18,7 +18,7 @@ _LARGE_BYTES = 1 << 26
 
 
 def upsample(coarse: Coarse, image: np.ndarray, guide_rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Bring maps to the pixels of the photograph, as `stages.upsample`; volumes of large ones are given back."""
+    """Bring maps to the pixels of the photograph, as `readable.upsample`; volumes of large ones are given back."""
     if image.nbytes > _LARGE_BYTES:
         give_back_volumes()
     height, width = image.shape[:2]

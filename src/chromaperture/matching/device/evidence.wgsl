@@ -384,7 +384,7 @@ fn main(i) {
 
 // ---- pair_evidence: correlations
 // What all pairs and bands of a sample earn at every layer, as the unexplained fraction exp(-2 l / factors), in which
-// `labels_read` interpolates. A workgroup has one sample. See `blur_evidence.py`.
+// `labels_read` interpolates. A workgroup has one sample. See `blur.py`.
 
 in correlation: array<f32>;  // see `correlations`
 // (count,): where a layer's correlation is; odd ones may lie between even ones: -1

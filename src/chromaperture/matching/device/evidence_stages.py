@@ -75,7 +75,7 @@ class EvidencePlan:
 
     @property
     def factors(self) -> float:
-        """See `stages.read_at_labels`."""
+        """See `readable.read_at_labels`."""
         return float(sum(self.source.config.band_weights))
 
 
@@ -419,7 +419,7 @@ def _add_windows(chain: Chain, plan: EvidencePlan, sizes: RoundSizes, made: dict
         "band_products", [made["band_views"], made["products"]], planes * -(-small[0] // FEW) * small[1], height=height,
         width=width, planes=planes,
     )  # fmt: skip
-    rest_px = math.sqrt(max(config.window_sigma_px**2 - SAMPLING_PX**2, 0.01))  # as `blur_evidence`
+    rest_px = math.sqrt(max(config.window_sigma_px**2 - SAMPLING_PX**2, 0.01))  # as `blur`
     add_gaussian(
         chain,
         made["products"],

@@ -401,7 +401,7 @@ fn main(i) {
 
 // ---- cross_columns: indexing, fourier
 // Two channels of a tile filtered with each other's blur, P and Q, transformed back along the columns; see
-// `blur_evidence.py`. Frequencies of half a cycle a sample are left out.
+// `blur.py`. Frequencies of half a cycle a sample are left out.
 
 in pair_spectra: array<vec4f>;  // (tiles, all pairs, span, kept)
 in transfers: array<vec2f>;  // (layers of a round, tiles, channels, span, kept)

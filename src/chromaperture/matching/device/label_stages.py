@@ -104,7 +104,7 @@ def add_spectra(chain: Chain, windows: Windows, grid: WindowGrid, image: Array, 
 def add_likelihood(
     chain: Chain, spectra: Array, powers: np.ndarray, nodes: Array, noise: Array, *, source: SpectralEvidence
 ) -> Array:
-    """Append `stages.spectral_likelihood` for every slope: (layers, slopes, windows).
+    """Append `readable.spectral_likelihood` for every slope: (layers, slopes, windows).
 
     ``powers``: (slopes, nodes, layers, 9, F) float32; ``nodes``: (windows,); ``noise``: (windows, 3).
     """
@@ -167,7 +167,7 @@ def add_labels(
     *,
     windows: WindowEvidence | None = None,
 ) -> None:
-    """Append `stages.read_at_labels`, at the pixels of the photograph, and add what windows say.
+    """Append `readable.read_at_labels`, at the pixels of the photograph, and add what windows say.
 
     ``unexplained``: (samples, D); ``counted``: (H, W), factor on the evidence of pairs; ``likelihood``: (H, W, N),
     written.

@@ -268,7 +268,7 @@ fn main(group, groups, local) {
 
 // ---- slope_evidence: indexing
 // What a window says of every slope, whatever the layer: the logarithm of the sum of the likelihoods, over the best of
-// all; see `spectral_evidence.py`, over_slopes.
+// all; see `spectral.py`, over_slopes.
 
 in by_slope: array<f32>;  // (layers, slopes, windows)
 out of_slope: array<f32>;  // (slopes, windows)
@@ -293,7 +293,7 @@ fn main(group, groups, local) {
 }
 
 // ---- slope_shares
-// How often every slope is found in the picture, by expectation and maximisation; see `spectral_evidence.py`,
+// How often every slope is found in the picture, by expectation and maximisation; see `spectral.py`,
 // over_slopes. One workgroup has all windows.
 
 in of_slope: array<f32>;  // (slopes, windows)
@@ -338,7 +338,7 @@ fn main(local) {
 
 // ---- window_labels: layer_polynomial
 // What labels earn in every window: its log-likelihoods averaged over slopes, interpolated at the labels and limited;
-// see `spectral_evidence.py`, over_slopes, _at_labels and _tempered. A workgroup has one window.
+// see `spectral.py`, over_slopes, _at_labels and _tempered. A workgroup has one window.
 
 in by_slope: array<f32>;  // (layers, slopes, windows)
 in log_share: array<f32>;  // (slopes,)

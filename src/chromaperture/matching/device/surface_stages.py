@@ -62,7 +62,7 @@ def add_paths(
     lanes: int = LANES,
     ahead: int | None = None,
 ) -> None:
-    """Append `stages.aggregate_paths`: a dispatch for every direction; raises DeviceError for too many layers.
+    """Append `readable.aggregate_paths`: a dispatch for every direction; raises DeviceError for too many layers.
 
     ``likelihood``, ``guide``, ``total``: volume, map, volume; the last is written. ``lanes`` invocations share a path:
     1, 2, 4, ... 64; ``ahead`` of its steps are read before they are needed, by default as many as registers hold.

@@ -284,7 +284,7 @@ def add_reduced(chain: Chain, image: Array, size: tuple[int, int], reduction: Re
 def add_upsampled(
     chain: Chain, image: Array, small: Array, size: tuple[int, int], reduction: Reduction, guide_range: float
 ) -> None:
-    """Add `stages.upsample`; the chain's ``disparity``, ``sigma``, ``confidence`` become those of ``size`` (H, W)."""
+    """Add `readable.upsample`; the chain's ``disparity``, ``sigma``, ``confidence`` become those of ``size`` (H, W)."""
     pixels = small.size // 3
     names = ("disparity", "sigma", "confidence")
     coarse, stats = chain.array("coarse", 4 * pixels), chain.arrays["stats"]

@@ -9,7 +9,7 @@ and D = P - Q is the residual of maximum likelihood over the unknown sharp pictu
 correlation of P and Q in a window, in two octaves, is the evidence for a depth. Blur changes over the frame: H is
 computed at nodes on a grid (``readable/tiles.py``), and P and Q are interpolated between them.
 
-A wide blur also spreads detail over surroundings that have none: `stages.band_correlation` takes that off where the
+A wide blur also spreads detail over surroundings that have none: `readable.band_correlation` takes that off where the
 settings ask for it.
 
 Noise lowers the correlation, and more so at depths whose blur leaves fine detail: with noise, more blur always agrees

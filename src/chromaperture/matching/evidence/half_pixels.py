@@ -1,6 +1,6 @@
 """Likelihood of windows' spectra where red and blue are a dual-pixel sensor's halves, whose noise is partly shared.
 
-`stages.spectral_likelihood` takes every channel's noise to be its own. The halves of a pixel share noise, and noise
+`readable.spectral_likelihood` takes every channel's noise to be its own. The halves of a pixel share noise, and noise
 that is alike in all channels looks like detail in focus: walls without detail stood at the focus. Half the sum and half
 the difference of red and blue::
 

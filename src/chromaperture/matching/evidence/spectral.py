@@ -1,6 +1,6 @@
 """Evidence of all three channels together: a Gaussian texture behind the camera's own blur.
 
-Pairs of channels that are filtered with each other's blur (`blur_evidence`) use what blur does to one channel against
+Pairs of channels that are filtered with each other's blur (`blur`) use what blur does to one channel against
 another, and throw away what it does to the spectrum of each, and the third channel. The likelihood of a window's
 spectra y, given a layer's blur, uses all of it::
 

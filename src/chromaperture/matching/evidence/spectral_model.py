@@ -139,7 +139,7 @@ class SpectralModel:
         return np.asarray((of_row[:, None] * self.counts[1] + of_column).ravel())
 
     def powers(self) -> np.ndarray:
-        """Compute G; (slopes, nodes, D, 9, F) float32, in the order of `stages.spectral_likelihood`."""
+        """Compute G; (slopes, nodes, D, 9, F) float32, in the order of `readable.spectral_likelihood`."""
         rows, columns = (
             np.linspace(0, n - 1, count)
             for n, count in zip((self.blur.height_px, self.blur.width_px), self.counts, strict=True)

@@ -133,7 +133,8 @@ def behind_edges(color: np.ndarray, radius: np.ndarray, reach: int, edge_px: flo
     """Extrapolate far surfaces behind the near sides of depth edges.
 
     ``color`` (H, W, 3) float32; ``radius`` (H, W) float32: signed blur radius, px; smaller is nearer; ``reach``:
-    distance behind an edge, px. Returns ``color, radius`` the arguments, with the far surface in place of the near one.
+    distance behind an edge, px. Returns ``color, radius``: the arguments, with the far surface in place of the near
+    one.
     """
     beside = cv2.erode(radius, np.ones((3, 3), np.uint8))
     far_side = radius - beside > edge_px
