@@ -155,16 +155,6 @@ def spectral_windows(rng, draw, shape):
     return Given(spectral_example(rng, windows=shape[0]), options)
 
 
-def alike_windows(rng, draw, shape):
-    """Channels have 0.002 of their power for themselves, and no noise."""
-    spectra, powers, node, noise = spectral_example(rng, windows=shape[0])
-    alike = np.repeat(spectra[:, :1], 3, axis=1)
-    spectra = (alike * np.array([1, 0.9, 0.8], np.float32)[:, None] + 0.03 * spectra).astype(np.complex64)
-    powers[:, :, 1:3], powers[:, :, 3::2], powers[:, :, 4::2] = powers[:, :, :1], powers[:, :, :1], 0
-    options = {"channel_error": 0.002, "rounds": int(draw.choice([1, 3]))}
-    return Given((spectra, powers, node, np.full_like(noise, 1e-4)), options)
-
-
 def parts(found) -> list[np.ndarray]:
     """The arrays that a stage returns."""
     return [found] if isinstance(found, np.ndarray) else list(found)
@@ -197,7 +187,6 @@ STAGES = {
     "upsample": Stage(working_scale, rtol=1e-5, atol=1e-6, other=1e-3, finite=False),
     # float32 sums of some hundred nats
     "spectral_likelihood": Stage(spectral_windows, rtol=1e-5, atol=2e-4, in_shaders=(0.0, 5e-4)),
-    "spectral_likelihood of alike channels": Stage(alike_windows, rtol=2e-4, atol=0.02),  # 0.007 nats are found
 }
 # Every size is compiled anew for shaders, and has its own settings.
 FEW_SHAPES = st.sampled_from([(1, 2), (7, 1), (24, 20), (12, 31)])
