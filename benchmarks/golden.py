@@ -2,7 +2,7 @@
 
 FOLDER holds bench50/cy_halves, real/cmu_dual_pixel and real/rf50_dual_pixel; quality real-time. Exit code 1 when a
 figure got worse by more than four times its scatter over fresh noise; ``--keep`` writes figures and scatter to
-golden.json. tests/test_golden.py does the same with the samples.
+golden.json. tests/project/test_golden.py does the same with the samples.
 """
 
 from __future__ import annotations

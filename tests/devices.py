@@ -1,11 +1,16 @@
-"""Whether the tests of shaders can run here, and loudly where they cannot."""
+"""Whether the tests of shaders can run here, loudly where they cannot; and plans as a browser reads them."""
 
 from __future__ import annotations
 
+import json
 import os
+import struct
+import zlib
 
+import numpy as np
 import pytest
 
+from chromaperture.app.messages import unpack_array
 from chromaperture.matching.device import device as device_file
 from chromaperture.matching.device.device import Device, DeviceError, adapters, has_extra, open_device
 
@@ -31,3 +36,18 @@ def any_device() -> Device:
 def device_of_its_own() -> Device:
     """A device that a test may destroy."""
     return device_file._opened(*device_file._found_adapters()[0])
+
+
+def unpacked(message):
+    """The text of a plan, and its arrays by their place in it."""
+    length = struct.unpack("<I", message[:4])[0]
+    text = json.loads(zlib.decompress(message[4 : 4 + length]))
+
+    def array(values):
+        kind = np.dtype(values["kind"]).type
+        if "numbers" in values:
+            return np.array(values["numbers"], kind)
+        start = 4 + length + values["at"]
+        return unpack_array(message[start : start + values["bytes"]], kind)
+
+    return text, array

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.2.0"
 
-# The module of every public name; the same as above, where type checkers read it (tests/test_python.py).
+# The module of every public name; the same as above, where type checkers read it (tests/camera/test_python.py).
 _MODULES = {
     "camera.camera": "CodedApertureCamera load_camera",
     "model.camera_file": "Calibration",

@@ -25,7 +25,7 @@ _MIDDLE = 1 / 3  # of the width and height: the part of the frame that counts as
 _KNOWN = 1 / 4  # of the pixels there must have a disparity; chosen by hand
 _GRID_PX = 6  # pitch of the grid: neighbours have the matcher's window in common
 _GRID_COLUMNS = 120  # at most, so that memory does not grow with the sensor
-_MIN_SIGMA_PX = 0.05  # bias of shift matching: up to 0.06 px on mirrored halves (tests/test_rendered_boards.py)
+_MIN_SIGMA_PX = 0.05  # bias of shift matching on mirrored halves: up to 0.06 px (test_rendered_boards.py)
 # Smoothing of boards before quality "real-time" reads them, px: through two filters, and through three whose channels
 # are taken where the lens moves them. Prints are finer than what is photographed later, and fine texture is displaced
 # more: film leaks, lenses aberrate (docs/decisions.md, *Boards as coarse as scenes*, *Channels where the lens moves

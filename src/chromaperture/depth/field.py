@@ -21,7 +21,7 @@ from chromaperture.depth.conversion_kernels import PAIRS, CurveTable, curve_tabl
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.system.errors import InputError
 
-_NODES = 33  # a side, for the covariance over the frame: bilinear between them it is within 5 % (tests/test_field.py)
+_NODES = 33  # a side, for the covariance over the frame: bilinear between them it is within 5 % (test_field.py)
 
 
 @dataclass(frozen=True)

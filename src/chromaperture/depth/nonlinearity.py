@@ -15,7 +15,7 @@ from numpy.polynomial import chebyshev
 
 from chromaperture.system.errors import InputError
 
-_KNOTS = 512  # of the table of the inverse: linear between them it is good to 1e-4 px (tests/test_nonlinearity.py)
+_KNOTS = 512  # of the table of the inverse: linear between them it is good to 1e-4 px (test_nonlinearity.py)
 _FINE = 8  # samples of the curve per knot, from which the table is interpolated; chosen by hand, not tuned
 _MIN_SLOPE = 0.2  # d measured / d linear: a flatter curve is refused, it would magnify errors 5 times; chosen by hand
 

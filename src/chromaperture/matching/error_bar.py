@@ -17,7 +17,7 @@ MAX_SIGMA_PX = 4.0  # a quarter of the default search range: beyond, nothing is 
 _BEYOND_PX = 1e6  # takes the place of unknown disparities, which are neither the least nor the greatest
 # White noise behind a Gaussian of variance s^2 has the autocorrelation exp(-r^2 / 4 s^2), whose integral is 4 pi s^2;
 # that of its square, which counts for correlations, is half of it. The factor 0.8 * 0.57 = 0.46 was chosen by hand;
-# tests/test_confidence.py holds the error bar against known errors.
+# tests/depth/test_confidence.py holds the error bar against known errors.
 _NOISE_AREA = 0.8 * 4 * math.pi, 0.57
 
 

@@ -17,7 +17,7 @@ from chromaperture.matching.labels import LabelMap, PathWinner, Surface
 # texture, which blur displaces less than the fine part.
 SCATTER, BIAS = 1.1, 4.8
 # Of the width of an even posterior: what is wider is unknown. In pictures of pure noise 0 to .11 of the posteriors are
-# narrower (`tests/test_confidence.py`).
+# narrower (`tests/depth/test_confidence.py`).
 WIDEST_SHARE = 0.75
 SEEN_REACH = 1  # cells or px; farther from usable pixels a surface is only carried on from the border of a spot
 # Of the range of the disparity within so many px of the halved picture: next to depth edges a pixel may belong to

@@ -1,0 +1,281 @@
+"""Imports go down the way of the light and never back up; optional packages are imported where they are used."""
+
+from __future__ import annotations
+
+import ast
+import re
+import sys
+import tomllib
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGE = ROOT / "src" / "chromaperture"
+SOURCES = {
+    path.relative_to(PACKAGE).as_posix(): path.read_text(encoding="utf-8") for path in sorted(PACKAGE.rglob("*.py"))
+}
+MAX_LINES = 800
+
+# What a room may import, besides itself: every arrow goes down this list, which begins at the bottom.
+ALLOWED: dict[str, set[str]] = {
+    "system": set(),
+    "optics": {"system"},  # the forward model shares no code with the estimator that it tests
+    "settings": {"system"},
+    "color": {"system", "optics"},
+    "matching": {"system", "optics", "color", "settings"},
+    "depth": {"system", "color", "settings"},  # works on any disparity map, however it was made
+    "capture": {"system", "optics", "color"},
+    "files": {"system", "color", "depth"},  # arrays in, files of other programs out
+    "model": {"system", "optics", "color", "settings", "depth", "capture"},
+    "frame": {"system", "color", "settings", "depth", "files", "model"},  # the result, and what is made of it
+    "camera": {"system", "color", "settings", "matching", "depth", "capture", "model", "frame"},
+    "effects": {"system", "optics", "color", "settings", "matching", "depth", "model", "camera"},
+    "products": {"system", "color", "settings", "depth", "capture", "files", "model", "frame", "camera"},
+    "calibration": {"system", "optics", "color", "settings", "matching", "depth", "capture", "model", "camera"},
+    "reconstruction": {"system", "color", "depth", "capture", "camera", "products"},
+}
+BELOW = set(ALLOWED)
+ALLOWED |= {
+    "evaluation": BELOW - {"frame", "effects", "reconstruction"},
+    "tasks": BELOW | {"evaluation"},  # whole tasks in one call, for Python
+    "app": BELOW | {"evaluation"} | {"__init__"},  # the last for the version
+    "cli": BELOW | {"evaluation", "app", "__init__"},
+    "__main__": {"system", "cli"},
+    "__init__": BELOW | {"tasks"},  # public names, each imported when it is first used
+}
+EXECUTIONS = ("chromaperture.matching.compiled", "chromaperture.matching.readable")
+# Who imports modules of an execution from outside the two of them, and why.
+MAY_IMPORT_CPU = {
+    "matching/execution.py"  # chooses between them
+}
+# Besides matching/device/, whose shaders take their constants and tables from the readable stages.
+MAY_IMPORT_EXECUTIONS = MAY_IMPORT_CPU | {
+    # What both executions share, defined where the readable one explains it:
+    "matching/accurate.py",  # the place between two layers
+    "matching/evidence/blur.py",  # tiles of the frame
+    "matching/evidence/spectral.py",  # a photograph without its shading, and the cubic between layers
+    "matching/evidence/spectral_model.py",  # what that takes away
+    "matching/planes/fit.py",  # what a plane costs
+    "matching/planes/regions.py",  # how pairs of regions are summed
+    "matching/working_scale.py",  # the maps that both bring to full size
+    "calibration/fit_blur.py",  # a photograph without its shading
+}
+# Names of each way to compile and to start threads, and the one module that may use them.
+ONE_WAY = {
+    "njit": "system/compilation.py",
+    "jit": "system/compilation.py",
+    "prange": "system/compilation.py",
+    "vectorize": "system/compilation.py",
+    "ThreadPoolExecutor": "system/threads.py",
+    "ThreadPool": "system/threads.py",
+}
+OPTIONAL = {"open3d", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "fsspec", "mcap", "mcap_ros2",
+            "imageio", "xarray", "OpenEXR", "pxr", "foxglove", "picamera2", "wgpu", "starlette", "uvicorn",
+            "cryptography", "segno"}  # fmt: skip
+# Import name of a distribution, where the two differ.
+IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL", "pyyaml": "yaml"}
+
+
+def imported(nodes: Iterator[ast.AST], package: tuple[str, ...]) -> Iterator[str]:
+    """Dotted names of the modules that the import statements among ``nodes`` load."""
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            module = ".".join((*base, *([node.module] if node.module else [])))
+            # "from chromaperture.matching import kernels" loads chromaperture.matching.kernels
+            yield from (f"{module}.{alias.name}" for alias in node.names)
+
+
+def at_import_time(tree: ast.Module) -> Iterator[ast.AST]:
+    """Nodes that run when the module is imported: not the bodies of functions, not blocks for type checkers."""
+    waiting: list[ast.AST] = list(tree.body)
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            continue
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            waiting += node.orelse
+            continue
+        yield node
+        waiting += ast.iter_child_nodes(node)
+
+
+def part_of(where: str) -> str:
+    return where.split("/")[0].removesuffix(".py")
+
+
+def wrong_imports(part: str, source: str, package: tuple[str, ...]) -> list[str]:
+    wrong = []
+    for name in imported(ast.walk(ast.parse(source)), package):
+        if not name.startswith("chromaperture."):
+            continue
+        inner = name.removeprefix("chromaperture.")
+        target = inner.split(".")[0]
+        if target not in ALLOWED:
+            target = "__init__"  # a public name of the package itself
+        if target != part and target not in ALLOWED[part]:
+            wrong.append(f"{part} imports {name}")
+    return wrong
+
+
+@cache
+def base_packages() -> set[str]:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    names = [re.split(r"[<>=!~\[; ]", requirement)[0] for requirement in project["dependencies"]]
+    return {IMPORT_NAMES.get(name, name) for name in names}
+
+
+def not_in_base_install(source: str, package: tuple[str, ...]) -> set[str]:
+    roots = {name.split(".")[0] for name in imported(at_import_time(ast.parse(source)), package)}
+    return roots - set(sys.stdlib_module_names) - base_packages() - {"chromaperture"}
+
+
+def package_of(where: str) -> tuple[str, ...]:
+    return ("chromaperture", *where.split("/")[:-1])
+
+
+def module_of(name: str) -> str:
+    """The module or package that holds an imported name."""
+    parts = name.split(".")
+    for length in range(len(parts), 1, -1):
+        place = PACKAGE.joinpath(*parts[1:length])
+        if place.is_dir() or place.with_suffix(".py").is_file():
+            return ".".join(parts[:length])
+    return parts[0]
+
+
+def executions_imported(source: str, package: tuple[str, ...]) -> set[str]:
+    """Which packages and modules of the two executions a file imports, inside functions too."""
+    modules = {module_of(name) for name in imported(ast.walk(ast.parse(source)), package)}
+    return {module for module in modules if any(f"{module}.".startswith(f"{e}.") for e in EXECUTIONS)}
+
+
+def names_used(source: str) -> set[str]:
+    used = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Name):
+            used.add(node.id)
+        elif isinstance(node, ast.Attribute):
+            used.add(node.attr)
+        elif isinstance(node, ast.alias):
+            used.add(node.name)
+    return used
+
+
+def other_ways(source: str, file_name: str) -> set[str]:
+    return {name for name in names_used(source) & ONE_WAY.keys() if ONE_WAY[name] != file_name}
+
+
+def test_every_part_has_its_place():
+    assert {part_of(where) for where in SOURCES} == set(ALLOWED)
+
+
+def test_imports_go_down_the_way_of_the_light():
+    wrong = {where: wrong_imports(part_of(where), text, package_of(where)) for where, text in SOURCES.items()}
+    assert {where: found for where, found in wrong.items() if found} == {}
+
+
+def test_importing_a_module_needs_the_base_install_only():
+    wrong = {where: not_in_base_install(text, package_of(where)) for where, text in SOURCES.items()}
+    assert {where: found for where, found in wrong.items() if found} == {}
+
+
+def test_the_execution_is_chosen_in_one_place():
+    cpu, _ = EXECUTIONS
+    found = {where: executions_imported(text, package_of(where)) for where, text in SOURCES.items()}
+    importers = {where for where, modules in found.items() if modules}
+    executions = ("matching/compiled/", "matching/readable/", "matching/device/")
+    outside = {where for where in importers if not where.startswith(executions)}
+    assert outside == MAY_IMPORT_EXECUTIONS
+    assert {where for where, modules in found.items() if modules & set(EXECUTIONS)} == {"matching/execution.py"}
+    of_cpu = {where for where, modules in found.items() if any(module.startswith(cpu) for module in modules)}
+    assert {where for where in of_cpu if not where.startswith("matching/compiled/")} == MAY_IMPORT_CPU
+
+
+def test_the_readable_stages_compile_nothing():
+    for where, text in SOURCES.items():
+        if where.startswith("matching/readable/"):
+            names = imported(ast.walk(ast.parse(text)), package_of(where))
+            assert not [n for n in names if n.startswith(("numba", "llvmlite", "chromaperture.system.comp"))], where
+
+
+def test_there_is_one_way_to_compile_and_one_to_start_threads():
+    wrong = {where: other_ways(text, where) for where, text in SOURCES.items()}
+    assert {where: found for where, found in wrong.items() if found} == {}
+
+
+def test_optional_packages_are_not_in_the_base_install():
+    assert base_packages() & OPTIONAL == set()
+
+
+def test_files_stay_readable_in_one_sitting():
+    assert [where for where, text in SOURCES.items() if len(text.splitlines()) > MAX_LINES] == []
+
+
+@pytest.mark.parametrize(
+    ("part", "source"),
+    [
+        ("optics", "from chromaperture.color.unmixing import unmix"),
+        ("optics", "def f():\n    import chromaperture.matching.estimate"),
+        ("optics", "from ..matching import estimate"),
+        ("optics", "from chromaperture import estimate_disparity"),
+        ("color", "from chromaperture.matching import reference"),
+        ("depth", "from chromaperture.matching.estimate import Disparity"),
+        ("camera", "from chromaperture.calibration.session import read_session"),
+        ("matching", "from chromaperture.depth.conversion import DepthModel"),
+        ("depth", "from chromaperture.capture.files import read_image"),
+        ("effects", "from chromaperture.app.live import show"),
+        ("camera", "from chromaperture.cli.main import main"),
+        ("system", "from chromaperture.color.film import Film"),
+        ("color", "from chromaperture.settings.methods import PaperConfig"),
+    ],
+)
+def test_a_wrong_import_is_found(part, source):
+    assert wrong_imports(part, source, ("chromaperture", part)) != []
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("import open3d", {"open3d"}),
+        ("try:\n    import rawpy\nexcept ImportError:\n    rawpy = None", {"rawpy"}),
+        ("class A:\n    import dask.array", {"dask"}),
+        ("def f():\n    import starlette", set()),
+        ("if TYPE_CHECKING:\n    import starlette\nelse:\n    import gi", {"gi"}),
+        ("import cv2, math, scipy.signal\nfrom . import errors", set()),
+    ],
+)
+def test_a_package_outside_the_base_install_is_found(source, found):
+    assert not_in_base_install(source, ("chromaperture", "capture")) == found
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("from chromaperture.matching import compiled", "chromaperture.matching.compiled"),
+        ("def f():\n    from chromaperture.matching.compiled import correlate", "chromaperture.matching.compiled"),
+        ("import chromaperture.matching.readable", "chromaperture.matching.readable"),
+        ("from . import readable", "chromaperture.matching.readable"),
+        ("from chromaperture.matching.readable.tiles import Nodes", "chromaperture.matching.readable.tiles"),
+    ],
+)
+def test_an_imported_execution_is_found(source, found):
+    assert executions_imported(source, ("chromaperture", "matching")) == {found}
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("import numba\n@numba.njit(cache=True)\ndef f(): pass", {"njit"}),
+        ("from numba import prange as r", {"prange"}),
+        ("from concurrent.futures import ThreadPoolExecutor", {"ThreadPoolExecutor"}),
+        ("import numba\nprint(numba.__version__)", set()),
+    ],
+)
+def test_another_way_to_compile_or_to_start_threads_is_found(source, found):
+    assert other_ways(source, "volume.py") == found
