@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -33,11 +35,11 @@ from chromaperture.matching.planes.block_surface import (
 from chromaperture.matching.planes.depth_edges import BLOCK_PX
 from chromaperture.matching.readable.between_layers import between_layers
 from chromaperture.matching.readable.paths import Posterior
-from chromaperture.matching.result import Disparity, Method, NoiseModel
+from chromaperture.matching.result import Disparity, Method, NoiseModel, Pending
 from chromaperture.matching.views import ViewSpace, clipped_filled, filtered_views
 from chromaperture.settings.methods import AccurateConfig
 from chromaperture.system.errors import InputError
-from chromaperture.system.threads import each_band
+from chromaperture.system.threads import begun, each_band
 
 EDGE_REACH_PX = 8  # two sigmas of the correlation window
 POOLED_PX = 8.0  # sigma of the window in which the posterior's variance is averaged: paths draw streaks into it
@@ -99,14 +101,25 @@ class AccurateMethod(Method):
 
     def match(self, image: np.ndarray) -> Disparity:
         """Return the disparity of an image (H, W, 3)."""
-        image, usable, guide, variance = self.prepared(image)
-        likelihood = self.evidence.at(image, self.config.layers.values_px, self.labels_px, noise_variance=variance)
-        if not usable.all():
-            each_band(
-                lambda rows: np.multiply(likelihood[rows], usable[rows, :, None], out=likelihood[rows]), len(usable)
-            )
-        found = path_surface(likelihood, guide, self.labels_px, config=self.config, run=self.run)
-        return self.from_paths(found, image, usable, depth_edges_of(image))
+
+        def at_once(prepared: Prepared) -> Pending[PathSurface]:
+            found = self.path_surface(prepared)
+            return Pending(lambda: found)
+
+        return self.begin(image, at_once).result()
+
+    def begin(self, image: np.ndarray, find: Callable[[Prepared], Pending[PathSurface]]) -> Pending[Disparity]:
+        """Begin with an image (H, W, 3); ``find`` is `path_surface`, or a device that finds the same."""
+        prepared = self.prepared(image)
+        pending = find(prepared)
+        depth_edges = begun(partial(depth_edges_of, prepared.image))
+
+        def result() -> Disparity:
+            found = pending.result()
+            surface = explained_surface(found, depth_edges(), self.labels_px, config=self.config, run=self.run)
+            return self.of_labels(surface, prepared.image, prepared.usable)
+
+        return Pending(result)
 
     def prepared(self, image: np.ndarray) -> Prepared:
         """Return what is matched of an image (H, W, 3)."""
@@ -119,10 +132,15 @@ class AccurateMethod(Method):
         """Labels, half a layer apart; (2 D - 1,) float64."""
         return with_halves(self.config.layers.values_px)
 
-    def from_paths(self, found: PathSurface, image: np.ndarray, usable: np.ndarray, log_odds: np.ndarray) -> Disparity:
-        """Return the disparity by what paths found; image and where it is usable as `clipped_filled` has them."""
-        surface = explained_surface(found, log_odds, self.labels_px, config=self.config, run=self.run)
-        return self.of_labels(surface, image, usable)
+    def path_surface(self, prepared: Prepared) -> PathSurface:
+        """Return the surface of least cost along paths through the evidence."""
+        image, usable, guide, variance = prepared
+        likelihood = self.evidence.at(image, self.config.layers.values_px, self.labels_px, noise_variance=variance)
+        if not usable.all():
+            each_band(
+                lambda rows: np.multiply(likelihood[rows], usable[rows, :, None], out=likelihood[rows]), len(usable)
+            )
+        return path_surface(likelihood, guide, self.labels_px, config=self.config, run=self.run)
 
     def of_labels(self, surface: Surface, image: np.ndarray, usable: np.ndarray) -> Disparity:
         """Return the disparity of a surface of labels; image and where it is usable as `clipped_filled` has them."""

@@ -1,8 +1,7 @@
-"""Quality "accurate" on a device: evidence and paths there, the surface that explains them on the CPU.
+"""Quality "accurate" on a device: evidence and paths, `AccurateMethod.path_surface`; all else is `AccurateMethod`.
 
 The photograph goes up once. What comes down are the paths' surface, mean and variance of its labels, and the sums of
-the evidence over blocks: a sixteenth of the volume. While the device works, the CPU finds depth edges; then regions,
-plate and error bar are `accurate.explained_surface`, as without a device.
+the evidence over blocks: a sixteenth of the volume. While the device works, the CPU finds depth edges.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from operator import call
 
 import numpy as np
@@ -30,11 +28,10 @@ from chromaperture.matching.device.surface_stages import Grid, add_block_sums, a
 from chromaperture.matching.evidence.blur import BlurEvidence
 from chromaperture.matching.evidence.correlation import CorrelationEvidence
 from chromaperture.matching.evidence.spectral import SpectralEvidence
-from chromaperture.matching.planes.block_surface import depth_edges_of
 from chromaperture.matching.planes.depth_edges import BLOCK_PX
 from chromaperture.matching.readable.paths import Posterior
 from chromaperture.matching.result import NO_EXTRAS, Extras, Measured, Pending
-from chromaperture.system.threads import begun, parallel_map
+from chromaperture.system.threads import parallel_map
 
 DOWN = ("label", "posterior", "blocks")
 
@@ -70,15 +67,10 @@ class AccurateChain:
         add_path_surface(chain, likelihood, guide, self.grid, labels_px, config=config.surface)
         add_block_sums(chain, likelihood, self.grid, BLOCK_PX)
 
-    def start(self, image: np.ndarray) -> Pending[Measured]:
-        """Send an image (H, W, 3) to the device; at most two are under way, to be awaited in turn."""
-        prepared = self.method.prepared(image)
-        inputs, filled, usable = self._inputs(prepared), prepared.image, prepared.usable
-        pending = self.chain.start(inputs, list(DOWN))
-        depth_edges = begun(partial(depth_edges_of, filled))
-        return Pending(
-            lambda: Measured(self.method.from_paths(self._found(pending.result()), filled, usable, depth_edges()))
-        )
+    def start(self, prepared: Prepared) -> Pending[PathSurface]:
+        """Send a photograph to the device; at most two are under way, to be awaited in turn."""
+        pending = self.chain.start(self._inputs(prepared), list(DOWN))
+        return Pending(lambda: self._found(pending.result()))
 
     def _found(self, got: dict[str, np.ndarray]) -> PathSurface:
         """Return what came down, in px."""
@@ -173,10 +165,10 @@ class AccurateOnDevice(OnDevice):
             if self._chain is None or self._chain.shape != shape:
                 self._chain = None  # gives its memory back before the next takes its own
                 self._chain = AccurateChain(self.method, self.device, shape)
-            pending = self._chain.start(image)
+            pending = self.method.begin(image, self._chain.start)
 
         def result() -> Measured:
             with self._lock, self._freed_on_failure():
-                return pending.result()
+                return Measured(pending.result())
 
         return Pending(result)
