@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.app.forecast import BOARD_SIGMA_PX, Forecast, Gain, Lens, best_gain, forecast
-from chromaperture.app.notes import heard
+from chromaperture.app.messages import heard
 from chromaperture.app.session_folder import Kind, SessionFolder
 from chromaperture.calibration.fit_response import disparity_error
 from chromaperture.calibration.session import Session, nominal_depth_model

@@ -11,8 +11,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from chromaperture.app.messages import Packing
-from chromaperture.app.notes import heard
+from chromaperture.app.messages import Packing, heard
 from chromaperture.camera.alignment import channel_shifts
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.capture.checks import all_black

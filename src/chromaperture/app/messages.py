@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import struct
+import threading
+import warnings
 import zlib
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import cv2
@@ -12,6 +16,7 @@ import numpy as np
 
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.preview import depth_scale, error_scale, exposed, fitted_size, reduced
+from chromaperture.system.errors import CaptureWarning
 
 MOST_COUNT = 65535  # of a map: 0 is unknown, so the steps of 8 m are 0.12 mm
 LARGEST_PX = (1600, 1600)  # of the maps in a page; the files that are saved have every pixel
@@ -117,3 +122,15 @@ class Packing:
         """Return the text and the arrays as one message."""
         packed = zlib.compress(json.dumps(text, allow_nan=False).encode())
         return struct.pack("<I", len(packed)) + packed + b"".join(self.parts)
+
+
+# Python's list of filters is one for all threads, and two that record at once would restore each other's.
+_ONE_AT_A_TIME = threading.RLock()
+
+
+@contextlib.contextmanager
+def heard() -> Iterator[Callable[[], list[str]]]:
+    """Collect the sentences of warnings about captures; what is yielded returns them."""
+    with _ONE_AT_A_TIME, warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        yield lambda: list(dict.fromkeys(str(w.message) for w in found if issubclass(w.category, CaptureWarning)))

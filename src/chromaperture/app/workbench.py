@@ -24,7 +24,7 @@ import numpy as np
 
 from chromaperture.app.device_plan import MOST_PX, make_plan, make_points
 from chromaperture.app.free_space import RESERVE_BYTES, require_space
-from chromaperture.app.notes import heard
+from chromaperture.app.messages import heard
 from chromaperture.app.session_folder import Holding
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config

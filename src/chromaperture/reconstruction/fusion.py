@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 
 from chromaperture.products.rectified import View
-from chromaperture.reconstruction.clean_views import cleaned, scaled
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.tracking import (
     MIN_KNOWN,
@@ -17,7 +16,9 @@ from chromaperture.reconstruction.tracking import (
     Keyframe,
     PreparedView,
     Track,
+    cleaned,
     prepare,
+    scaled,
     track,
     turn_deg,
 )

@@ -26,6 +26,7 @@ from chromaperture.app.live.watchdog import Watchdog
 from chromaperture.camera.camera import Begun, CodedApertureCamera, DepthFrame
 from chromaperture.capture.recording import Recorder
 from chromaperture.capture.source import Frame, Source
+from chromaperture.products.foxglove_stream import FoxgloveStream
 from chromaperture.products.rectified import undistorter
 from chromaperture.reconstruction.fusion import Placed, Reconstruction, Submap
 from chromaperture.reconstruction.settings import ReconstructionConfig
@@ -437,3 +438,39 @@ class Trail:
                 points, self._step = points[::2], 2 * self._step
             self.points_mm = points
         self._count += 1
+
+
+_STREAM_END_S = 5.0  # for the last message at the end; chosen by hand
+
+
+class Streaming:
+    """Take every measurement of a loop and send it; a context manager entered before the loop runs.
+
+    A live source is never slowed down: frames that come faster than they are sent are left out.
+    """
+
+    def __init__(self, loop: LiveLoop, stream: FoxgloveStream) -> None:
+        self.loop, self.stream = loop, stream
+        self._slot = loop.to_stream = Slot[Measured]()
+        self._thread = threading.Thread(target=self._run, name="stream", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._slot.close()
+        self._thread.join(timeout=_STREAM_END_S)
+
+    def _run(self) -> None:
+        to_view, posed = None, None
+        while (item := self._slot.take()) is not None:
+            try:
+                to_view = to_view or undistorter(self.loop.camera)  # by now it has the size of the frames
+                self.stream.send(to_view(item.measurement, item.frame.time_s, item.frame.index))
+                placed = self.loop.placed
+                if placed is not None and placed.pose is not None and placed is not posed:
+                    self.stream.send_pose(placed.pose, placed.time_s)
+                    posed = placed
+            except Exception as error:  # of one frame, or of the disk: the loop goes on
+                self.loop.say_rarely(f"frame {item.frame.index} was not streamed: {one_line(error)}")

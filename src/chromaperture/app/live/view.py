@@ -23,8 +23,8 @@ from chromaperture.effects.refocusing import Focus, compositor_of, refocus
 from chromaperture.effects.restore import focus_radius
 from chromaperture.model.scale import reduced_size
 from chromaperture.products.measure_file import write_maps
-from chromaperture.reconstruction.clean_views import near_steps
 from chromaperture.reconstruction.fusion import Placed
+from chromaperture.reconstruction.tracking import near_steps
 from chromaperture.reconstruction.volume import Mesh
 from chromaperture.system.errors import InputError
 from chromaperture.system.storage import staged
