@@ -52,10 +52,7 @@ class CameraFeed:
         self._failure = self._event = ""
 
     def next_frame(self) -> Frame:
-        """Return the newest frame of a live camera, the next one of another source.
-
-        Raises InputError where it cannot be opened, was taken away, has ended, or gives nothing.
-        """
+        """Return the newest frame of a live camera, the next one of another source; raises InputError without one."""
         if not self._turn.acquire(timeout=self.wait_s):
             raise InputError(f"{self.name} is still busy with the picture before; try again")
         try:
@@ -171,10 +168,7 @@ def preview_jpeg(frame: Frame) -> bytes:
 
 
 def write_frame(frame: Frame, path: Path, session: SessionFolder) -> None:
-    """Write a frame as a photograph of a session, PNG, so that all of its photographs are decoded alike.
-
-    The first one decides: 8 bits of sRGB stay so; of all others the session states the levels, where nobody gave them.
-    """
+    """Write a frame as a PNG of a session, which states the levels of frames that are no 8-bit sRGB."""
     encoding, facts = frame.encoding, session.facts
     if facts.white_level is None and not session.shots and encoding.curve != "srgb":
         session.use_levels(*_levels(encoding))

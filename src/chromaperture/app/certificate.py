@@ -45,10 +45,7 @@ def state_folder() -> Path:
 
 
 def kept_token(folder: Path, *, anew: bool = False) -> str:
-    """Return the token of this user's app: an installed app opens the address that it was installed from.
-
-    ``anew`` draws another one, which closes the app to everyone who has the old address.
-    """
+    """Return the token of this user's app, or draw another one, which closes the app to the old address."""
     path = folder / "serve.token"
     if not anew and path.is_file():
         token = path.read_text(encoding="ascii", errors="replace").strip()
@@ -61,11 +58,7 @@ def kept_token(folder: Path, *, anew: bool = False) -> str:
 
 
 def kept_certificate(folder: Path, names: list[str]) -> Certificate:
-    """Return this machine's certificate for host names and addresses that the app is opened by.
-
-    It is made where there is none, it ends soon, or an address is not in it. Raises InputError where the folder cannot
-    be written, MissingDependencyError without the extra.
-    """
+    """Return this machine's certificate for names and addresses, made where it lacks one or ends soon."""
     x509 = _x509()
     paths = folder / "serve.crt", folder / "serve.key"
     if all(path.is_file() for path in paths):

@@ -118,10 +118,7 @@ _CONTENT = (
 
 
 class PageServer:
-    """Answer GET of one address with one page, an HTML text, until it is closed; a context manager.
-
-    The port, or the next free one, is taken; raises InputError where nothing can be served on this host.
-    """
+    """Answer GET of one address with one page, an HTML text, until it is closed; a context manager."""
 
     def __init__(self, text: str, *, host: str = "127.0.0.1", port: int = 8080) -> None:
         self.access = Access(host, command="view")

@@ -66,10 +66,7 @@ def pack_frame(
 
 
 def to_counts(values: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Divide a map into counts from 1 to `MOST_COUNT`, (h, w) uint16; 0 where it is unknown.
-
-    Returned with them are first and step: the value of a count c is first + c * step.
-    """
+    """Divide a map into counts, (h, w) uint16, 0 unknown; returns first and step too: value = first + c * step."""
     known = np.isfinite(values)
     if not known.any():
         return np.zeros(values.shape, np.uint16), 0.0, 1.0
@@ -82,11 +79,7 @@ def to_counts(values: np.ndarray) -> tuple[np.ndarray, float, float]:
 
 
 def pack_array(values: np.ndarray) -> bytes:
-    """Return an array of 32-bit numbers, deflated: second differences of neighbours, byte plane after byte plane.
-
-    Of a smooth map the bits of neighbours, taken for whole numbers, grow almost evenly, so that their second
-    differences are small and three of four bytes are nearly always 0. ``plan.js`` has the inverse.
-    """
+    """Return 32-bit numbers deflated: second differences, byte plane after byte plane; ``plan.js`` has the inverse."""
     bits = np.ascontiguousarray(values).ravel().view(np.uint32)
     twice = np.diff(np.diff(bits, prepend=np.uint32(0)), prepend=np.uint32(0)).view(np.int32)  # they wrap around
     folded = ((twice << 1) ^ (twice >> 31)).view(np.uint32)  # small numbers of either sign become small numbers

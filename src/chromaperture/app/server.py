@@ -320,10 +320,7 @@ def said(answer: Callable[[Any], Awaitable[Any]]) -> Callable[[Any], Awaitable[A
 def make_app(
     workbench: Workbench, access: Access, *, certificate: Path | None = None, feeds: Sequence[CameraFeed] = ()
 ) -> Gate:
-    """Put the server's application together, behind its checks; raises MissingDependencyError.
-
-    The certificate is offered to phones; ``feeds`` are the computer's cameras that the assistant may use.
-    """
+    """Put the server's application together, behind its checks; raises MissingDependencyError."""
     require_extra()
     from starlette.applications import Starlette
     from starlette.routing import Route

@@ -101,10 +101,7 @@ class Workbench:
             raise InputError("there is no camera of that name; choose one of the list") from None
 
     def add_camera(self, name: str, source: Path) -> str:
-        """Keep a camera file that the page sent; returns its name.
-
-        Raises InputError where it is no camera file, there are too many, or another camera has the name.
-        """
+        """Keep a camera file of the page; returns its name, which no other camera may have."""
         stem = re.sub(r"[^A-Za-z0-9_-]+", "-", Path(name).stem).strip("-_")[:60] or "camera"
         data = source.read_bytes()
         if len(data) > _MOST_CAMERA_BYTES:
@@ -180,10 +177,7 @@ class Workbench:
     def measure_pixels(
         self, data: bytes, size_px: tuple[int, int], *, camera: str, quality: str
     ) -> tuple[DepthFrame, list[str]]:
-        """Measure one frame of the page's camera; returns it and sentences about it; raises InputError.
-
-        ``data`` is R, G, B of 8 bits, row by row, as a browser decodes a video; taken for sRGB.
-        """
+        """Measure R, G, B bytes of a browser's video, taken for sRGB; returns the frame and sentences about it."""
         width, height = size_px
         if min(size_px) < 1 or len(data) != 3 * width * height:
             raise InputError("a frame is not as large as it says; reload the page")
@@ -246,11 +240,7 @@ class Workbench:
         return linear_to_srgb_bytes(apply_background(picture.color, picture.radius_px, focus, background))
 
     def with_depth_inside(self, key: str, output: str = DEPTH_INSIDE[0]) -> bytes:
-        """Return a photograph with its depth inside, as ``chromaperture depth --write gdepth`` writes it.
-
-        Raises InputError where it is no longer kept, no pixel's depth is known well enough, or the format is another
-        one.
-        """
+        """Return a photograph with its depth inside, as ``chromaperture depth --write gdepth`` writes it."""
         photo = self.photo(key)
         if output not in DEPTH_INSIDE:
             raise InputError(f"a photograph with depth inside is {' or '.join(DEPTH_INSIDE)}, not {output!r}")
@@ -260,10 +250,7 @@ class Workbench:
             return path.read_bytes()
 
     def photo_files(self, key: str) -> bytes:
-        """Return a photograph and its files, as ``chromaperture depth`` writes them, in one ZIP archive.
-
-        Photographs with depth inside are among them, where a pixel's depth is known well enough for that.
-        """
+        """Return a photograph and its files, as ``chromaperture depth`` writes them, in one ZIP archive."""
         photo = self.photo(key)
         require_space(self.folder, 100 * photo.measured.frame.disparity_px.size, self.reserve_bytes)
         packed = io.BytesIO()

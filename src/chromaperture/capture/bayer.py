@@ -21,11 +21,7 @@ _BLOCKS = 500  # of 4 x 4 photosites each way, from which the means are taken
 def superpixels(
     mosaic: np.ndarray, pattern: str, *, black_level: float, white_level: float
 ) -> tuple[np.ndarray, Encoding]:
-    """Make one pixel of every 2 x 2 cell of a mosaic (2H, 2W): R, the mean of both G, B; an odd last row is ignored.
-
-    Returns counts (H, W, 3), uint16 or where that is too small float32: twice the mosaic's, so that the mean of two
-    is an integer. Raises InputError for an unknown pattern, or no mosaic.
-    """
+    """Make a pixel of every 2 x 2 cell, (H, W, 3), counts twice the mosaic's so that both G add up."""
     if pattern not in PATTERNS:
         raise InputError(f"unknown Bayer pattern {pattern!r}: choose {', '.join(PATTERNS)}")
     if mosaic.ndim != 2 or min(mosaic.shape) < 2:

@@ -30,10 +30,7 @@ _SAMPLES = 20_000  # pixels that are checked: standard error of a fraction below
 
 
 def check_capture(image: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
-    """Check a photograph of linear RGB, 1.0 = white level, before it is measured; (H, W, 3) float32, contiguous.
-
-    Raises InputError for a wrong shape, type or size, and where all is black, saturated, grey, or not finite.
-    """
+    """Check a photograph of linear RGB before it is measured; (H, W, 3) float32, contiguous, else InputError."""
     image = checked_image(image)
     if image.shape[:2] != (height_px, width_px):
         raise InputError(other_size(image.shape[1], image.shape[0], (width_px, height_px)))
@@ -65,10 +62,7 @@ def check_capture(image: np.ndarray, width_px: int, height_px: int) -> np.ndarra
 def check_form(
     form: PictureFormat, name: str, provenance: Mapping[str, Any], encoding: Encoding | None, *, is_cropped: bool
 ) -> None:
-    """Raise or warn where a photograph is read otherwise than those that the camera was calibrated on.
-
-    A camera file's provenance without a word on what its photographs were means that they were read at full size.
-    """
+    """Raise or warn where a photograph is read otherwise than those that the camera was calibrated on."""
     if form.mosaic is not None or form.reduction == 1:
         return
     if is_cropped:

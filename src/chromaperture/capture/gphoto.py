@@ -20,11 +20,7 @@ _HINT = "tethered cameras need gphoto2: pip install 'chromaperture[cameras]'"
 
 @dataclass(kw_only=True, eq=False)
 class TetheredCamera(PictureSource):
-    """Take a photograph for each frame; RAW files become half-size superpixels.
-
-    The place is a port as listed by `gphoto2 --auto-detect`; empty for the first camera. ``shutterspeed``, ``iso`` and
-    ``aperture`` are as the camera spells them.
-    """
+    """Take a photograph for each frame; the place is a port of `gphoto2 --auto-detect`, or empty."""
 
     kind = "gphoto2"
 

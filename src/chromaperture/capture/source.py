@@ -95,10 +95,7 @@ class Source(Protocol):
 
 @dataclass(eq=False)
 class FileSource:
-    """A source that is read at the reader's pace; subclasses implement `open`, `close` and `frames`.
-
-    Their fields are the settings of `open_source`; `kind` stands before the place in the name.
-    """
+    """A source that is read at the reader's pace; the fields of subclasses are settings of `open_source`."""
 
     place: str  # of files or device
     _: KW_ONLY

@@ -219,10 +219,7 @@ def refuse_common_results(names: Sequence[str], out: str | None) -> None:
 
 
 def cameras(first: Path, camera: Path | None, design: str | None, **settings: Any) -> CameraOf:
-    """Return the function from an image to its camera: the file's, read once, or one for each size for a design.
-
-    ``settings`` are those of `camera_for`.
-    """
+    """Return the function from an image to its camera: the file's, or one for each size for a design."""
     from chromaperture.capture.files import image_size
     from chromaperture.cli.setup import camera_for
     from chromaperture.color.encoding import NOTHING_STATED
@@ -278,11 +275,7 @@ def measure_batch(
     left_out: Mapping[Path, str],
     **options: Any,
 ) -> None:
-    """Measure photographs here, report them, and end with an exit code where some could not be measured.
-
-    ``recipe`` is there for a camera that was calibrated: results that it made before are kept. ``left_out`` are files
-    that are no photographs, see `one_of_each`.
-    """
+    """Measure photographs here, keeping what ``recipe`` made before, and end with the batch's exit code."""
     batch, began = Batch(), time.monotonic()
     with contextlib.suppress(ChromapertureError):  # a photograph without a size, where the camera is made for its size
         announce_duration(camera_of(images[0]), len(images), quiet=quiet)
@@ -402,10 +395,7 @@ def _print(batch: Batch, count: int, seconds: float, note: str) -> None:
 def measure_archive(
     images: Sequence[str], recipe: Recipe, address: str, *, left_out: Mapping[Path, str], json: bool, quiet: bool
 ) -> None:
-    """Measure photographs on a cluster, print each failure as it happens and a summary; ends as `measure_batch`.
-
-    Raises InputError: see `measure_on_cluster`; what is complete is kept.
-    """
+    """Measure photographs on a cluster, print each failure as it happens and a summary; ends as `measure_batch`."""
     from chromaperture.products.archive import measure_on_cluster
 
     batch, began = Batch(), time.monotonic()

@@ -31,10 +31,7 @@ class ResponseCurve:
     exponents: tuple[float, ...]  # positive, linear between the codes
 
     def light(self, values: np.ndarray) -> np.ndarray:
-        """Return the linear light of decoded values; float32 of the same shape.
-
-        Beyond 0 and 1, where noise and other levels lead, values keep the scale of the curve's ends.
-        """
+        """Return the linear light of decoded values, float32; beyond 0 and 1 at the scale of the curve's ends."""
         decoded = np.asarray(values, np.float32)
         at, light = response_table(self.exponents)
         found = np.interp(decoded, at, light)

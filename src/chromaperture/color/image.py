@@ -46,12 +46,7 @@ _SIGMAS, _TIMES_RANGE, _TIMES_OTHERS = 8.0, 2.0, 3.0
 
 
 def without_defects(image: np.ndarray, variance: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Replace hot, stuck and dead pixels, and hits of cosmic rays, by the median of their neighbourhood; (H, W, 3).
-
-    The likelihood of quality "accurate" takes detail at one pixel of one channel for detail in focus
-    (docs/decisions.md). ``variance``: from the image to the variance of its noise, called only where a pixel stands out
-    of its neighbours. Returns the image itself where nothing was found.
-    """
+    """Replace pixels that stand out of their neighbourhood's noise by its median; (H, W, 3)."""
     ring = np.ones((3, 3), np.uint8)
     ring[1, 1] = 0
     highest, lowest = cv2.dilate(image, ring), cv2.erode(image, ring)

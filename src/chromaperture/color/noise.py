@@ -40,10 +40,7 @@ _MOST_ELECTRONS = 1e7  # no pixel holds more: quieter pictures were computed, no
 
 
 def photon_noise_variance(image: np.ndarray, *, full_well_electrons: float, read_noise_electrons: float) -> np.ndarray:
-    """Compute the variance of shot and read noise; (H, W, 3) float32, (white level)^2.
-
-    The image is linear, 1.0 = white level. The full well is at white level, the read noise a standard deviation.
-    """
+    """Compute the variance of shot and read noise; (H, W, 3) float32, (white level)^2."""
     # Smoothed first: the variance of a noisy pixel would correlate with its noise. Sigma chosen by hand.
     signal = np.maximum(cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), 2.0), 0)
     return signal / np.float32(full_well_electrons) + np.float32((read_noise_electrons / full_well_electrons) ** 2)
@@ -55,12 +52,7 @@ def fine_structure(image: np.ndarray) -> np.ndarray:
 
 
 def estimate_noise_variance(image: np.ndarray) -> np.ndarray:
-    """Estimate the noise variance per channel from the image alone, without a noise model.
-
-    From the median of the absolute Immerkaer response over the frame: texture raises a minority of the pixels only.
-
-    ``image`` (H, W, 3) float, linear. Returns (H, W, 3) float32, constant over the frame, (white level)^2.
-    """
+    """Estimate the noise variance per channel from the median Immerkaer response; (H, W, 3), constant."""
     image = np.asarray(image, np.float32)
     response = fine_structure(image).reshape(-1, image.shape[2])
     response = response[np.isfinite(response).all(axis=1)]
@@ -71,11 +63,7 @@ def estimate_noise_variance(image: np.ndarray) -> np.ndarray:
 
 
 def noise_samples(image: np.ndarray, *, scale_px: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Compute brightness and noise variance of blocks and channels, (B,) float64 each, without clipped ones.
-
-    ``scale_px``: side of the squares of pixels that are averaged first; the variance is that of the pixels of white
-    noise whose averages have what is found.
-    """
+    """Return brightness and white-noise variance of unclipped blocks of ``scale_px`` means, (B,) each."""
     if min(image.shape[:2]) < scale_px * _BLOCK_SAMPLES:
         return np.empty(0), np.empty(0)
     image = _squares(np.asarray(image, np.float32), scale_px).mean(axis=(1, 3))
@@ -98,11 +86,7 @@ def _squares(values: np.ndarray, side: int) -> np.ndarray:
 
 
 def photon_noise_of_sheets(sheets: Iterable[np.ndarray]) -> tuple[float, float] | None:
-    """Fit full well and read noise to photographs of even surfaces, (H, W, C) linear; see `fit_photon_noise`.
-
-    Compression and the interpolation of a colour mosaic take noise out of the finest detail alone, which is no measure
-    of the noise in detail of a few pixels: the scale that has most of the noise counts.
-    """
+    """Fit full well and read noise to even surfaces, at the scale with most of the noise."""
     samples: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in _SCALES_PX]
     for sheet in sheets:
         for of_scale, scale in zip(samples, _SCALES_PX, strict=True):
@@ -118,12 +102,7 @@ def photon_noise_of_sheets(sheets: Iterable[np.ndarray]) -> tuple[float, float] 
 
 
 def noise_ratio(image: np.ndarray, variance: np.ndarray) -> float:
-    """Return a photograph's noise variance over the expected one, (H, W, 3); 1 where it is not clearly more.
-
-    A photograph at another ISO than the calibration has other noise. Detail is much alike in the three channels, their
-    noise is not: of the fine structure of a block, in units of the expected noise, the least eigenvalue of the
-    channels' covariance is the noise's.
-    """
+    """Return a photograph's noise variance over the expected one, 1 where it is not clearly more; (H, W, 3)."""
     image = np.asarray(image, np.float32)
     finest = _ratio_at(image, variance, 1)
     # Means of 4 x 4 px show texture, too: they are looked at where finer ones lack noise.

@@ -28,10 +28,7 @@ _UNCORRELATED = 0.02  # variance of a channel that no other has, of the mean var
 
 
 def colour_covariance(image: np.ndarray) -> np.ndarray:
-    """Return the covariance of the channels' fine structure, unit mean variance; (3, 3) float64.
-
-    ``image`` (H, W, 3) float32, linear RGB, channels aligned.
-    """
+    """Return the covariance of the fine structure of aligned channels, unit mean variance; (3, 3)."""
     smooth = cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), 1.5)
     detail = (smooth - cv2.GaussianBlur(smooth, (0, 0), 4.0)).reshape(-1, 3).astype(float)
     covariance = detail.T @ detail / len(detail)
@@ -53,12 +50,7 @@ def natural_spectrum(shape: tuple[int, int]) -> np.ndarray:
 def joint_filter(
     spectra: np.ndarray, otf: np.ndarray, *, noise_variance: np.ndarray, signal: np.ndarray, colour: np.ndarray
 ) -> np.ndarray:
-    """Estimate the sharp spectra of three channels from blurred ones.
-
-    ``spectra``, ``otf`` (3, h, w) complex; ``noise_variance`` (3,) or (3, h, w) float; ``signal`` (h, w) float: S:
-    power of the sharp picture per frequency; ``colour`` (3, 3) float: C: covariance of its channels. Returns (3, h, w)
-    complex64.
-    """
+    """Estimate the sharp spectra (3, h, w) of three channels by their noise, signal and colour covariance."""
     inverse = np.linalg.inv(colour)
     noise = np.asarray(noise_variance, float)
     weight = 1 / np.maximum(noise if noise.ndim == 3 else noise[:, None, None], 1e-12)
@@ -127,11 +119,7 @@ def sharpen_layers(
 
 
 def extrapolated(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Extrapolate a surface (H, W, 3) smoothly beyond what is ``known``, so that others do not ring in it.
-
-    Push-pull (Gortler et al. 1996): known pixels are averaged down a pyramid; on the way up unknown pixels take the
-    colour of the coarser level.
-    """
+    """Extrapolate a surface smoothly beyond what is ``known`` by push-pull (Gortler et al. 1996)."""
     if known.all():
         return picture
     weight = known.astype(np.float32)
@@ -264,10 +252,7 @@ def certainty(radius_px: np.ndarray, sigma_px: np.ndarray | None) -> np.ndarray:
 
 
 def colour_lines(guide: np.ndarray, *, sigma_px: float) -> tuple[np.ndarray, float]:
-    """Return the inverse covariance of the channels' differences around every pixel, and their mean square.
-
-    ``guide`` (3, H, W) float32. Returns (3, 3, H, W) float32, of unit mean variance; float, (white level)^2.
-    """
+    """Return the inverse covariance of the channels' differences, (3, 3, H, W), and their mean square."""
     steps = [[cv2.GaussianBlur(p, (0, 0), 0.7) for p in d] for d in _differences(guide)]
     covariance = np.empty((3, 3, *guide.shape[1:]), np.float64)
     for i in range(3):

@@ -38,10 +38,7 @@ class DepthComparison:
 
 
 def compare_depth(a: StoredDepth, b: StoredDepth) -> DepthComparison:
-    """Compare two depth maps of the same view; A is what shares and percentages refer to.
-
-    ``a``, ``b``: (H, W) each; depth in mm. Raises InputError: their sizes differ, or no pixel is known in both.
-    """
+    """Compare two depth maps of the same view; A is what shares and percentages refer to."""
     if a.depth_mm.shape != b.depth_mm.shape:
         sizes = " and ".join(f"{m.depth_mm.shape[1]}x{m.depth_mm.shape[0]}" for m in (a, b))
         raise InputError(f"the maps have different sizes, {sizes} px; compare maps of one view at one size")
@@ -159,12 +156,7 @@ _COMPARED = ("design", "width_px", "height_px", "focal_length_mm", "f_number", "
 def compare_cameras(
     a: Calibration, b: Calibration, *, names: tuple[str, str] = ("A", "B"), quality: str = "real-time"
 ) -> CameraComparison:
-    """Compare what two camera files make of the same disparity, over the frame and over the distances of both.
-
-    ``a``, ``b``: calibrated, of one design and one aspect; other pixels are scaled; ``names`` (str, str); ``quality``:
-    whose curves are compared. Raises InputError: a camera without depth, other designs or aspects, or ranges without a
-    common distance.
-    """
+    """Compare what two camera files of one design and aspect make of a disparity, over frame and range."""
     for name, camera in zip(names, (a, b), strict=True):
         if not camera.is_calibrated or quality not in camera.depth:
             raise InputError(f"{name} has no depth curve of quality {quality}; calibrate it, or choose --quality")

@@ -50,11 +50,7 @@ GREEN = 1  # the channel in which corners are found
 
 
 def edge_blur(plane: np.ndarray, corners: np.ndarray, inner_corners: tuple[int, int]) -> tuple[float, float]:
-    """Measure the standard deviation of the blur across the edges of a chessboard, along x and y; px, NaN unknown.
-
-    Every stretch between two neighbouring corners is an edge. Profiles across all edges of one direction are averaged,
-    dark to bright, and the integral of a Gaussian is fitted. Of a disc of radius r it finds about 0.5 r.
-    """
+    """Measure the blur across a chessboard's edges along x and y, px: about half of a disc's radius."""
     columns, rows = inner_corners
     grid = corners.reshape(rows, columns, 2).astype(float)
     found = {0: [], 1: []}  # type: dict[int, list[np.ndarray]]
@@ -188,11 +184,7 @@ def check_board(
     notes: Sequence[str] = (),
     curve: DepthModel | None = None,
 ) -> CheckedShot:
-    """Check a photograph of the board square to the axis, from `Session.read`.
-
-    ``ruler_mm`` is from the sensor plane; disparities are searched between the ends of ``range_mm``; ``notes`` are what
-    reading the file warned of; ``curve`` is fitted to the earlier boards, the engraved lens's when there are too few.
-    """
+    """Check a board square to the axis at ``ruler_mm``; ``curve`` is fitted to the earlier boards."""
     checks = [_exposure(image), *_file(notes)]
     corners = find_corners(image[..., 1], session.inner_corners)
     if corners is None:
@@ -395,10 +387,7 @@ def _disparity_at(model: DepthModel, at_mm: float) -> float:
 
 
 def check_sheet(image: np.ndarray, name: str, *, design: str, clear: np.ndarray | None = None) -> list[Check]:
-    """Check a photograph of a white sheet, (H, W, 3) float32, linear; the most urgent finding first.
-
-    ``name`` is ``open``, the design's, or one of `SHEETS`; ``clear`` the mean colour through the open pupil, (3,).
-    """
+    """Check a photograph of a white sheet, of that name; ``clear`` is the open pupil's mean colour."""
     height, width = image.shape[:2]
     middle = image[height * 2 // 5 : height * 3 // 5, width * 2 // 5 : width * 3 // 5].reshape(-1, 3).astype(float)
     mean, brightest = middle.mean(axis=0), middle.max(axis=1)
@@ -501,10 +490,7 @@ def check_exposed(image: np.ndarray) -> Check:
 def check_tone(
     first: Exposed, second: Exposed, *, design: str, is_encoded: bool = True
 ) -> tuple[list[Check], ToneCurve | None]:
-    """Compare two exposures of one scene; the curve is None where the pictures tell nothing.
-
-    ``is_encoded``: the files are of 8 bits and were decoded as sRGB.
-    """
+    """Compare two exposures of one scene; the curve is None where the pictures tell nothing."""
     ratio = max(first.exposure, second.exposure) / min(first.exposure, second.exposure)
     if ratio < LEAST_RATIO:
         finding = f"both photographs have the same exposure, to a factor of {ratio:.2f}"

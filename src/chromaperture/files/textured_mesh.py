@@ -1,8 +1,4 @@
-"""A depth map as a surface with the photograph on it, seen by the camera that took it; as GLB and as USDZ.
-
-GLB: one glTF 2.0 file (Khronos, glTF 2.0 Specification, 2021). USDZ: for iPhones and film tools; needs the extra
-``usd``.
-"""
+"""A depth map as a surface with the photograph on it, as GLB (Khronos, glTF 2.0, 2021) and USDZ (extra ``usd``)."""
 
 from __future__ import annotations
 
@@ -41,12 +37,7 @@ class TexturedMesh:
 def textured_mesh(
     z_mm: np.ndarray, picture: np.ndarray, *, camera_matrix: np.ndarray, distortion: np.ndarray
 ) -> TexturedMesh:
-    """Join neighbouring pixels to triangles where no edge of depth is between them.
-
-    ``z_mm`` (H, W) float, mm from the entrance pupil along the axis, NaN unknown; ``picture`` (H, W, 3) uint8, sRGB;
-    ``camera_matrix`` (3, 3) float, px; ``distortion`` (5,) float: OpenCV's k1, k2, p1, p2, k3; vertices are where the
-    rays of the lens lead, the picture stays as it is. Raises InputError: no two neighbouring pixels are known.
-    """
+    """Join neighbouring pixels to triangles where no edge of depth is between them, along the lens's rays."""
     height, width = z_mm.shape
     step = 1
     while -(-height // step) * -(-width // step) > _MOST_VERTICES:
@@ -168,11 +159,7 @@ def usd() -> Any:
 
 
 def write_usdz(path: str | Path, mesh: TexturedMesh) -> None:
-    """Write a package of geometry, texture and camera: metres, y up, the camera at the origin, looking along -z.
-
-    ``path``: ends in .usdz. Raises MissingDependencyError: the extra ``usd`` is not installed. Raises InputError:
-    OpenUSD could not write the package.
-    """
+    """Write a package of geometry, texture and camera: metres, y up, the camera at the origin, looking along -z."""
     _, _, stages, geometry, _, utilities, _ = usd()
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "scene.usdc"

@@ -41,10 +41,7 @@ def html(frame: DepthFrame) -> str:
 
 
 def camera_html(calibration: Calibration, quality: Quality) -> str:
-    """Return the film in the pupil and a table of what the camera is, as HTML.
-
-    ``quality`` {"paper", "real-time", "accurate"}: whose depth curve is shown.
-    """
+    """Return the film in the pupil and a table of what the camera is, with a quality's depth curve, as HTML."""
     lens, sensor = calibration.lens, calibration.sensor
     rows = [
         ("film", calibration.aperture.title),
@@ -126,10 +123,7 @@ def points_view(cloud: PointCloud, *, most_points: int, height_px: int) -> Point
 
 
 def to_open3d(cloud: PointCloud) -> Any:
-    """Convert points to ``open3d.geometry.PointCloud``: metres, colours 0 to 1; x right, y down, z forward.
-
-    Raises MissingDependencyError: the extra ``reconstruct`` is not installed.
-    """
+    """Convert points to ``open3d.geometry.PointCloud``: metres, colours 0 to 1; x right, y down, z forward."""
     try:
         import open3d
     except ImportError:
@@ -141,10 +135,7 @@ def to_open3d(cloud: PointCloud) -> Any:
 
 
 def to_xarray(frame: DepthFrame) -> Any:
-    """Return the maps of a frame as ``xarray.Dataset``, which holds the arrays themselves, not copies.
-
-    Raises MissingDependencyError: the extra ``xarray`` is not installed.
-    """
+    """Return the maps of a frame as ``xarray.Dataset``, which holds the arrays themselves, not copies."""
     try:
         import xarray
     except ImportError:

@@ -269,14 +269,7 @@ def _write_open3d(folder: Path, size: tuple[int, int], matrix: np.ndarray) -> No
 
 
 def read_trajectory(path: str | Path) -> Callable[[list[tuple[int, float]]], dict[int, np.ndarray]]:
-    """Read a trajectory in the TUM format, such as ``trajectory.txt`` of ``chromaperture reconstruct``.
-
-    Lines are ``time tx ty tz qx qy qz qw``: s and m, camera to world. Only the lines before a second "# submap", which
-    has an origin of its own, are taken.
-
-    Returns from (index, time_s) of frames to their poses, (4, 4), mm; for `write_posed`. Raises InputError: the file
-    cannot be read, or a line is no pose.
-    """
+    """Read the first submap of a TUM trajectory; returns poses (4, 4), mm, of (index, time_s) for `write_posed`."""
     path = Path(path)
     poses: dict[float, np.ndarray] = {}
     for number, line in enumerate(

@@ -32,12 +32,7 @@ def reconstruct(
     listener: Callable[[str], None] = lambda line: None,
     progress: Callable[[Placed], None] = lambda placed: None,
 ) -> Reconstruction:
-    """Measure, track and fuse frames until they end, or until Ctrl-C: then return the model so far.
-
-    ``camera``: calibrated; ``listener``: receives messages for the user, one line each; ``progress``: receives the
-    result of every frame. Raises MissingDependencyError: the extra ``reconstruct`` is not installed. Raises InputError:
-    a camera that was never calibrated, no frame, or none with depth.
-    """
+    """Measure, track and fuse frames until they end, or until Ctrl-C: then return the model so far."""
     open3d()
     camera, frames = of_stream(camera, frames)
     to_view = undistorter(camera)
@@ -57,10 +52,7 @@ def reconstruct(
 def write_model(
     folder: str | Path, model: Reconstruction, *, facts: dict[str, Any] | None = None
 ) -> tuple[dict[str, Any], list[Path]]:
-    """Write ``mesh.ply`` and ``.glb`` (``mesh_N.*`` of submaps not joined), ``trajectory.txt`` and ``report.json``.
-
-    Returns the report and the files; raises InputError when the folder cannot be written to.
-    """
+    """Write meshes (PLY, GLB), ``trajectory.txt`` and ``report.json``; returns the report and the files."""
     folder, began = Path(folder), time.perf_counter()
     report = (facts or {}) | summary(model)
     sizes = []
@@ -109,10 +101,7 @@ def summary(model: Reconstruction) -> dict[str, Any]:
 
 
 class Tracker:
-    """Poses of views that are seen one by one, for exports; raises MissingDependencyError without Open3D.
-
-    ``camera_matrix`` (3, 3) float, px; ``listener``: receives messages for the user, one line each.
-    """
+    """Poses of views that are seen one by one, for exports; raises MissingDependencyError without Open3D."""
 
     def __init__(self, camera_matrix: np.ndarray, *, listener: Callable[[str], None] = lambda line: None) -> None:
         open3d()
@@ -124,10 +113,7 @@ class Tracker:
         self._model.add(view)
 
     def poses(self, frames: list[tuple[int, float]]) -> dict[int, np.ndarray]:
-        """Return the poses of frames by their index: (4, 4), camera to world, mm.
-
-        Only of the largest part of the sequence that has one world frame; the others are left out, with a message.
-        """
+        """Return poses (4, 4), mm, by index, of the largest part of the frames that has one world."""
         placed = [self._model.in_root(p) for p in self._model.placed]
         tracked = [p for p in placed if p.pose is not None]
         if not tracked:

@@ -28,11 +28,7 @@ def cleaned(view: View, config: ReconstructionConfig) -> View:
 
 
 def near_steps(z_mm: np.ndarray, *, jump: float, reach_px: int) -> np.ndarray:
-    """Find flying pixels: those near a relative step of depth.
-
-    ``z_mm`` (H, W) float32, NaN unknown; ``jump``: least step relative to the distance; ``reach_px``: half width of the
-    neighbourhood. Returns (H, W) bool.
-    """
+    """Find flying pixels: those within ``reach_px`` of a step by ``jump`` of the distance; (H, W) bool."""
     known = np.isfinite(z_mm) & (z_mm > 0)
     inverse = np.where(known, 1.0 / np.where(known, z_mm, 1.0), np.nan).astype(np.float32)  # planes are linear in 1 / z
     window = np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8)
@@ -136,10 +132,7 @@ def prepare(view: View, camera_matrix: np.ndarray, config: ReconstructionConfig)
 
 
 def track(view: PreparedView, keyframe: Keyframe, guess: np.ndarray, *, config: ReconstructionConfig) -> Track:
-    """Estimate the pose of a view from a guess (4, 4), camera to world, mm.
-
-    Never raises because of what is in the picture: see `Track.lost`.
-    """
+    """Estimate a view's pose, camera to world, mm, from a guess; a picture never raises, see `Track.lost`."""
     if view.known < MIN_KNOWN:
         return Track(guess, 0.0, 0.0, NO_DEPTH)
     outlier_mm = config.outlier_mm * max(1.0, view.median_mm / 2000)

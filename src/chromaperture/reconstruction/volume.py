@@ -181,11 +181,7 @@ def in_order(mesh: Mesh) -> Mesh:
 
 
 class Volume:
-    """Voxels near surfaces, in blocks of 16^3, on Open3D's ``grid``, in metres.
-
-    ``memory_mb`` fixes the number of blocks; when they are used up, `full` turns true and nothing outside them is
-    fused.
-    """
+    """Voxels near surfaces, in blocks of 16^3, on Open3D's ``grid``, in metres; `full` when they are used up."""
 
     def __init__(self, *, voxel_mm: float, truncation_voxels: float, memory_mb: int, max_distance_mm: float) -> None:
         self.voxel_mm, self.truncation_voxels = voxel_mm, truncation_voxels
@@ -233,11 +229,7 @@ class Volume:
         return len(keys)
 
     def prune(self, *, min_age: int | None = None) -> int:
-        """Clear faint voxels, and erase blocks without surface that were not updated lately; returns their number.
-
-        Every view has wrong points: behind surfaces, where no view contradicts them, they would add up to surfaces of
-        their own, and in time to a full volume.
-        """
+        """Clear faint voxels and erase idle blocks without surface, which wrong points fill; returns their number."""
         table = self.grid.hashmap()
         slots = table.active_buf_indices().numpy().astype(np.int64)
         voxels = self._voxels()
@@ -261,10 +253,7 @@ class Volume:
     def ray_cast(
         self, camera_matrix: np.ndarray, camera_to_world: np.ndarray, width: int, height: int, *, reduced: int = 1
     ) -> np.ndarray:
-        """Return the distances of the model in a camera's picture; (height, width) float32 mm, NaN unknown.
-
-        A ray is cast for every square of ``reduced`` px; distances between are interpolated, see `enlarged_distances`.
-        """
+        """Return the model's distances in a camera's picture, (height, width) mm, a ray every ``reduced`` px."""
         table = self.grid.hashmap()
         slots = table.active_buf_indices().numpy().astype(np.int64)
         voxels = self._voxels()

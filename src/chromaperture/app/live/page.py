@@ -25,11 +25,7 @@ _START_S, _END_S = 20.0, 5.0  # for the server; chosen by hand
 
 
 class LivePage:
-    """A view of a loop and the server of its page, at ``url``, which holds a random token.
-
-    The port, or the next free one, is taken; raises InputError where nothing can be served on this host,
-    MissingDependencyError without the extra ``serve``.
-    """
+    """A view of a loop and the server of its page, at ``url``, which holds a random token."""
 
     def __init__(
         self, loop: LiveLoop, *, host: str, port: int, out: Path, max_relative_sigma: float = MAX_RELATIVE_SIGMA

@@ -124,11 +124,7 @@ def _numbers(tag: str, attrib: Mapping[str, str], *keys: str) -> list[float]:
 
 
 def path_points(commands: str) -> np.ndarray:
-    """Convert a closed path of lines and Bezier curves to a polygon.
-
-    ``commands``: path data with the commands M L H V Q C Z. Returns (N, 2) float64, user units. Raises InputError: arcs
-    and other commands, a second loop, missing numbers, or too many corners.
-    """
+    """Convert a closed path of the SVG commands M L H V Q C Z to a polygon, (N, 2) user units."""
     from svgelements import Close, Line, Move, Path
 
     known = _SUPPORTED.match(commands)
@@ -178,11 +174,7 @@ def _check_grammar(commands: str) -> None:
 
 
 def load_aperture(name_or_path: str | Path) -> Aperture:
-    """Load an aperture by the name of a design, or from a ``.toml`` or ``.svg`` file.
-
-    Raises InputError: unknown name, missing or malformed file, pieces that overlap or lie outside the pupil, unknown
-    filters.
-    """
+    """Load an aperture by the name of a design, or from a ``.toml`` or ``.svg`` file; raises InputError."""
     path = Path(name_or_path)
     if path.suffix.lower() not in (".toml", ".svg"):
         return design_named(str(name_or_path))

@@ -32,11 +32,7 @@ class SensorModel:
 
 
 def expose(image: np.ndarray, sensor: SensorModel, *, seed: int, exposure: float = 1.0) -> np.ndarray:
-    """Simulate the counts of an exposure to linear light.
-
-    ``image`` (H, W, 3) float, linear; ``exposure``: factor on the light; light 1.0 at exposure 1.0 reaches white level.
-    Returns (H, W, 3) uint16, counts. Raises InputError: light that is negative or not finite.
-    """
+    """Simulate counts (H, W, 3) uint16 of linear light; 1.0 at exposure 1.0 reaches white level."""
     electrons = np.asarray(image, np.float64) * exposure * sensor.full_well_electrons
     if not (np.isfinite(electrons).all() and electrons.min() >= 0):
         raise InputError("an exposure needs finite light of at least 0 everywhere")
