@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import shutil
+import threading
+import time
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
@@ -11,25 +15,23 @@ from typing import TYPE_CHECKING, Any, get_args
 from chromaperture.app.assistant import check_shot, shown_check, state
 from chromaperture.app.camera_feed import CameraAnswers, write_frame
 from chromaperture.app.free_space import require_space
+from chromaperture.app.messages import File, number, whole
 from chromaperture.app.session_folder import Holding, Kind, SessionFolder
 from chromaperture.app.workbench import NAME, Workbench
-from chromaperture.system.errors import InputError
+from chromaperture.calibration.calibrate_session import calibrate_session
+from chromaperture.calibration.options import CalibrationConfig
+from chromaperture.evaluation.report import write_report
+from chromaperture.evaluation.verdict import sentences, unusable, with_accurate_noise
+from chromaperture.system.errors import ChromapertureError, InputError, lacks_memory
 from chromaperture.system.validation import checked
 
 if TYPE_CHECKING:
     from chromaperture.app.server import Desk
 
-
-import shutil
-import threading
-import time
-from dataclasses import dataclass, field, replace
-
-from chromaperture.calibration.calibrate_session import calibrate_session
-from chromaperture.calibration.options import CalibrationConfig
-from chromaperture.evaluation.report import write_report
-from chromaperture.evaluation.verdict import sentences, unusable, with_accurate_noise
-from chromaperture.system.errors import ChromapertureError, lacks_memory
+_MOST_SESSIONS = 200  # chosen by hand
+_KINDS = get_args(Kind)
+# Of the report: it has its styles inside, and no script.
+_REPORT = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; base-uri 'none'"
 
 
 class _Stopped(Exception):
@@ -125,12 +127,6 @@ class CalibrationJob:
                 self.error = f"the calibration failed ({type(error).__name__}: {error}); please report this"
 
 
-_MOST_SESSIONS = 200  # chosen by hand
-_KINDS = get_args(Kind)
-# Of the report: it has its styles inside, and no script.
-_REPORT = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; base-uri 'none'"
-
-
 class AssistantAnswers:
     """The answer to each address of the assistant."""
 
@@ -165,9 +161,7 @@ class AssistantAnswers:
 
     async def sessions(self, request: Any) -> Any:
         """List the sessions."""
-        from starlette.responses import JSONResponse
-
-        return JSONResponse(await asyncio.to_thread(self._names))
+        return await asyncio.to_thread(self._names)
 
     def _names(self) -> list[str]:
         folders = (self.workbench.folder / "sessions").iterdir()
@@ -175,29 +169,21 @@ class AssistantAnswers:
 
     async def create(self, request: Any) -> Any:
         """Begin a session."""
-        from starlette.responses import JSONResponse
-
         asked = await _json(request)
         folder = self.folder(str(asked.get("name", "")))
         if len(self._names()) >= _MOST_SESSIONS:
             raise InputError(f"there are {_MOST_SESSIONS} sessions already; remove some from {folder.parent}")
         require_space(folder, 0, self.workbench.reserve_bytes)
         made = await self.desk.run(partial(SessionFolder.create, folder, asked.get("facts")))
-        return JSONResponse(await self.desk.run(partial(state, made)))
+        return await self.desk.run(partial(state, made))
 
     async def session(self, request: Any) -> Any:
         """Return the state of a session."""
-        from starlette.responses import JSONResponse
-
         folder = self.folder(request.path_params["name"])
-        return JSONResponse(await self.desk.run(lambda: state(_opened(folder))))
+        return await self.desk.run(lambda: state(_opened(folder)))
 
     async def shot(self, request: Any) -> Any:
         """Check a photograph; keep it where the page asks for that and no check warns, or it insists."""
-        from starlette.responses import JSONResponse
-
-        from chromaperture.app.server import Upload, number
-
         asked = request.query_params
         kind, folder = asked.get("kind", ""), self.folder(request.path_params["name"])
         if kind not in _KINDS:
@@ -213,7 +199,7 @@ class AssistantAnswers:
             frame = await asyncio.to_thread(self.cameras.feed(asked["source"]).shown_frame)
             taken_us = frame.metadata.get("exposure_us")
             exposure = exposure or (float(taken_us) / 1000 if taken_us else None)
-        async with Upload(request, self.workbench, asked.get("name", "photo.png"), is_sent=frame is None) as path:
+        async with self.workbench.upload(request, asked.get("name", "photo.png"), is_sent=frame is None) as path:
 
             def work() -> dict[str, Any]:
                 session = _opened(folder)
@@ -236,12 +222,10 @@ class AssistantAnswers:
                     "state": state(session),
                 }  # fmt: skip
 
-            return JSONResponse(await self.desk.run(work))
+            return await self.desk.run(work)
 
     async def remove(self, request: Any) -> Any:
         """Delete a kept photograph."""
-        from starlette.responses import JSONResponse
-
         asked = request.path_params
         folder, file = self.folder(asked["name"]), f"{asked['kind']}/{asked['file']}"
 
@@ -250,12 +234,10 @@ class AssistantAnswers:
             session.remove(file)
             return state(session)
 
-        return JSONResponse(await self.desk.run(work))
+        return await self.desk.run(work)
 
     async def calibrate(self, request: Any) -> Any:
         """Start the calibration."""
-        from starlette.responses import JSONResponse
-
         folder = self.folder(request.path_params["name"])
         session = _opened(folder)
         if self.is_calibrating():
@@ -268,31 +250,24 @@ class AssistantAnswers:
         )  # fmt: skip
         self.jobs[folder.name] = job
         job.start()
-        return JSONResponse(job.as_shown())
+        return job.as_shown()
 
     async def progress(self, request: Any) -> Any:
         """Return how far the calibration is."""
-        from starlette.responses import JSONResponse
-
-        return JSONResponse(self._job(request).as_shown())
+        return self._job(request).as_shown()
 
     async def stop(self, request: Any) -> Any:
         """End the calibration."""
-        from starlette.responses import JSONResponse
-
         job = self._job(request)
         job.stop()
-        return JSONResponse(job.as_shown())
+        return job.as_shown()
 
     async def report(self, request: Any) -> Any:
         """Return the report of the last calibration."""
-        from starlette.responses import Response
-
         path = self.workbench.folder / "cameras" / f"{self.folder(request.path_params['name']).name}.report.html"
         if not path.is_file():
             raise InputError("there is no report yet; calibrate first")
-        headers = {"Content-Security-Policy": _REPORT}
-        return Response(await asyncio.to_thread(path.read_bytes), media_type="text/html", headers=headers)
+        return File(await asyncio.to_thread(path.read_bytes), "text/html", {"Content-Security-Policy": _REPORT})
 
     def _job(self, request: Any) -> CalibrationJob:
         job = self.jobs.get(self.folder(request.path_params["name"]).name)
@@ -309,8 +284,6 @@ def _opened(folder: Path) -> SessionFolder:
 
 def _holding(asked: Any) -> Holding | None:
     """Read how the device is held whose camera took a photograph; None of a file."""
-    from chromaperture.app.server import whole
-
     if "angle" not in asked:
         return None
     values = {name: asked.get(name, "") for name in ("orientation", "facing")}

@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from chromaperture.app.messages import File
 from chromaperture.app.session_folder import SessionFolder
 from chromaperture.capture.open import open_source
 from chromaperture.capture.source import Event, Frame
@@ -214,21 +215,15 @@ class CameraAnswers:
 
     async def sources(self, request: Any) -> Any:
         """List them."""
-        from starlette.responses import JSONResponse
-
-        return JSONResponse([{"name": feed.name, "live": feed.live} for feed in self.feeds])
+        return [{"name": feed.name, "live": feed.live} for feed in self.feeds]
 
     async def picture(self, request: Any) -> Any:
         """Return the newest picture of a live camera, the next one of another."""
-        from starlette.responses import Response
-
         feed = self.feed(request.path_params["number"])
         content = await asyncio.to_thread(lambda: preview_jpeg(feed.next_frame()))
-        return Response(content, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+        return File(content, "image/jpeg")
 
     async def release(self, request: Any) -> Any:
         """Release a camera for other programs."""
-        from starlette.responses import JSONResponse
-
         await asyncio.to_thread(self.feed(request.path_params["number"]).close)
-        return JSONResponse({})
+        return {}

@@ -1,4 +1,4 @@
-"""Bytes for the page: a measured frame, and arrays as few bytes, without loss; `frame.js` and `plan.js` read them."""
+"""What the page sends, and bytes for it: a measured frame, and arrays as few bytes, without loss."""
 
 from __future__ import annotations
 
@@ -9,20 +9,50 @@ import threading
 import warnings
 import zlib
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.preview import depth_scale, error_scale, exposed, fitted_size, reduced
-from chromaperture.system.errors import CaptureWarning
+from chromaperture.system.errors import CaptureWarning, InputError
 
 MOST_COUNT = 65535  # of a map: 0 is unknown, so the steps of 8 m are 0.12 mm
 LARGEST_PX = (1600, 1600)  # of the maps in a page; the files that are saved have every pixel
 _JPEG_QUALITY = 90  # of the colour picture, for the eye only; chosen by hand
 _PACKED_FROM = 1024  # numbers: shorter arrays are text
 _LEVEL = 6  # of deflate; 9 takes three times as long and gains 2 % on the fields of a camera
+
+
+class File(NamedTuple):
+    """An answer that is no plain value."""
+
+    content: bytes
+    kind: str | None = "application/octet-stream"
+    headers: dict[str, str] | None = None
+    status: int = 200
+
+
+def saved(content: bytes, name: str, kind: str = "application/octet-stream") -> File:
+    """Return a file that a browser saves by its name."""
+    return File(content, kind, {"Content-Disposition": f'attachment; filename="{name}"'})
+
+
+def whole(asked: Any, name: str) -> int:
+    """Read a positive whole number of a request; raises InputError."""
+    text = asked.get(name, "")
+    if not (text.isascii() and text.isdigit() and len(text) < 8):
+        raise InputError(f"{name} must be a whole number")
+    return int(text)
+
+
+def number(asked: Any, name: str) -> float:
+    """Read a number of a request; raises InputError."""
+    try:
+        return float(asked.get(name, ""))
+    except ValueError:
+        raise InputError(f"{name} must be a number") from None
 
 
 def pack_frame(
@@ -85,14 +115,6 @@ def pack_array(values: np.ndarray) -> bytes:
     folded = ((twice << 1) ^ (twice >> 31)).view(np.uint32)  # small numbers of either sign become small numbers
     planes = folded.astype("<u4").view(np.uint8).reshape(-1, 4).T
     return zlib.compress(planes.tobytes(), _LEVEL)
-
-
-def unpack_array(data: bytes, dtype: type = np.float32) -> np.ndarray:
-    """Return what `pack_array` packed, flat."""
-    planes = np.frombuffer(zlib.decompress(data), np.uint8).reshape(4, -1)
-    folded = np.ascontiguousarray(planes.T).view("<u4").ravel().astype(np.uint32)
-    twice = (folded >> np.uint32(1)) ^ (np.uint32(0) - (folded & np.uint32(1)))
-    return np.cumsum(np.cumsum(twice, dtype=np.uint32), dtype=np.uint32).view(dtype)
 
 
 class Packing:

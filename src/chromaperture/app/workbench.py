@@ -14,8 +14,9 @@ import secrets
 import tempfile
 import zipfile
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
@@ -24,6 +25,7 @@ import numpy as np
 
 from chromaperture.app.device_plan import MOST_PX, make_plan, make_points
 from chromaperture.app.free_space import RESERVE_BYTES, require_space
+from chromaperture.app.gate import save_body
 from chromaperture.app.messages import heard
 from chromaperture.app.session_folder import Holding
 from chromaperture.camera.camera import CodedApertureCamera
@@ -39,7 +41,7 @@ from chromaperture.frame.frame_files import OUTPUTS, write_format
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.scale import reduced_size, resized
 from chromaperture.products.measure_file import MeasuredFile, measure_only
-from chromaperture.settings.methods import QUALITIES
+from chromaperture.settings.methods import QUALITIES, Quality
 from chromaperture.system.errors import InputError
 from chromaperture.system.storage import staged
 from chromaperture.system.validation import checked
@@ -80,10 +82,20 @@ class Workbench:
         for name in ("cameras", "sessions", "photos"):
             with staged(folder / name):
                 pass
-        self._eyes: OrderedDict[tuple[Any, ...], CodedApertureCamera] = OrderedDict()
         self._photos: OrderedDict[str, Photo] = OrderedDict()
         self._about: dict[tuple[Path, int], dict[str, Any]] = {}
-        self._plans: OrderedDict[tuple[Any, ...], bytes] = OrderedDict()
+        self._open = lru_cache(_KEPT_EYES)(_open)
+        self._made_plan = lru_cache(_KEPT_PLANS)(self._make_plan)
+
+    @contextlib.asynccontextmanager
+    async def upload(self, request: Any, name: str, *, is_sent: bool = True) -> AsyncIterator[Path]:
+        """Keep the body of a request in a private file, which goes afterwards; only its place, where none is sent."""
+        require_space(self.folder, int(request.headers.get("content-length", "0")), self.reserve_bytes)
+        with tempfile.TemporaryDirectory(dir=self.folder, prefix=".upload-") as private:
+            path = Path(private) / safe_name(name)
+            if is_sent:
+                await save_body(request, path)
+            yield path
 
     # ---- cameras
 
@@ -133,37 +145,26 @@ class Workbench:
         if quality not in QUALITIES:
             raise InputError(f"unknown quality {quality!r}: choose {', '.join(QUALITIES)}")
         path = self.camera_path(name)
-        key = (path, path.stat().st_mtime_ns, quality)
-        if key not in self._eyes:
-            calibration = Calibration.load(path)
-            self._eyes[key] = CodedApertureCamera(calibration, default_config(calibration, quality))
-            while len(self._eyes) > _KEPT_EYES:
-                self._eyes.popitem(last=False)
-        self._eyes.move_to_end(key)
-        return self._eyes[key]
+        return self._open(path, path.stat().st_mtime_ns, quality)
 
     def plan(self, name: str, size_px: tuple[int, int], exchange: str) -> bytes:
         """Return the plan by which a browser measures frames of a size, see `make_plan`; raises InputError."""
         path = self.camera_path(name)
-        key = (path, path.stat().st_mtime_ns, size_px, exchange)
-        if key not in self._plans:
-            if min(size_px) < 1 or math.prod(size_px) > MOST_PX:
-                raise InputError("a browser measures frames of up to 4 megapixels; the computer measures this one")
-            eye = self.eye(name, "real-time")
-            sensor = eye.calibration.sensor
-            frame_px = sensor.width_px, sensor.height_px
-            if size_px != frame_px and not eye.calibration.is_calibrated:
-                raise InputError("a camera that was never calibrated measures frames of its own size only")
-            is_other = size_px != reduced_size(frame_px, round(frame_px[0] / size_px[0]) or 1)
-            said = [eye.scaled_note(size_px)] if is_other else []
-            about = {"name": name, **_described(path)}
-            facts = {"camera": about, "version": version("chromaperture"), "notes": said}
-            packed = make_plan(eye.at_size(*size_px), exchange, facts)
-            self._plans[key] = packed
-            while len(self._plans) > _KEPT_PLANS:
-                self._plans.popitem(last=False)
-        self._plans.move_to_end(key)
-        return self._plans[key]
+        return self._made_plan(name, path, path.stat().st_mtime_ns, size_px, exchange)
+
+    def _make_plan(self, name: str, path: Path, changed_ns: int, size_px: tuple[int, int], exchange: str) -> bytes:
+        if min(size_px) < 1 or math.prod(size_px) > MOST_PX:
+            raise InputError("a browser measures frames of up to 4 megapixels; the computer measures this one")
+        eye = self.eye(name, "real-time")
+        sensor = eye.calibration.sensor
+        frame_px = sensor.width_px, sensor.height_px
+        if size_px != frame_px and not eye.calibration.is_calibrated:
+            raise InputError("a camera that was never calibrated measures frames of its own size only")
+        is_other = size_px != reduced_size(frame_px, round(frame_px[0] / size_px[0]) or 1)
+        said = [eye.scaled_note(size_px)] if is_other else []
+        about = {"name": name, **_described(path)}
+        facts = {"camera": about, "version": version("chromaperture"), "notes": said}
+        return make_plan(eye.at_size(*size_px), exchange, facts)
 
     def points(self, name: str, size_px: tuple[int, int], quality: str) -> bytes:
         """Return what makes points of maps of a size, see `make_points`; raises InputError."""
@@ -188,15 +189,12 @@ class Workbench:
             frame = eye.measure(linearise(Decoded(counts), camera_encoding=encoding))
         return frame, notes()
 
-    def measure_photo(
-        self, path: Path, *, camera: str, quality: str, stage: Callable[[str], None] = lambda name: None
-    ) -> tuple[str, Photo]:
+    def measure_photo(self, path: Path, *, camera: str, quality: str) -> tuple[str, Photo]:
         """Measure a photograph's file and keep the result for a while; returns its key; raises InputError."""
         eye = self.eye(camera, quality)
         with heard() as notes:
-            measured = measure_only(path, eye, out=self.folder / "photos", listener=stage)
-        height, width = measured.frame.disparity_px.shape
-        photo = Photo(measured, eye.at_size(width, height), notes(), path.read_bytes())
+            measured = measure_only(path, eye, out=self.folder / "photos")
+        photo = Photo(measured, eye.at_size(*measured.frame.disparity_px.shape[::-1]), notes(), path.read_bytes())
         key = secrets.token_urlsafe(9)
         self._photos[key] = photo
         while len(self._photos) > _KEPT_PHOTOS:
@@ -267,6 +265,20 @@ class Workbench:
                         archive.writestr(photo.measured.path.stem + OUTPUTS[output].suffix, content)
                 archive.writestr(photo.measured.path.name, photo.original)
         return packed.getvalue()
+
+
+def safe_name(name: str) -> str:
+    """Return a file's name without anything that leads to another folder; at most 100 characters."""
+    last = name.replace("\\", "/").rsplit("/", 1)[-1]
+    plain = "".join(c if c.isalnum() or c in "._-" else "_" for c in last).lstrip(".")
+    stem, dot, suffix = plain.rpartition(".")
+    return f"{(stem if dot else plain)[:90] or 'photo'}{f'.{suffix[:8]}' if dot else ''}"
+
+
+def _open(path: Path, changed_ns: int, quality: Quality) -> CodedApertureCamera:
+    """Open a camera file as it is since a time, at a quality."""
+    calibration = Calibration.load(path)
+    return CodedApertureCamera(calibration, default_config(calibration, quality))
 
 
 def _described(path: Path) -> dict[str, Any]:
