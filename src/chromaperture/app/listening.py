@@ -14,7 +14,7 @@ from typing import Any
 
 from chromaperture.app.certificate import NEEDS_EXTRA
 from chromaperture.app.gate import HEADERS, Access, path_without_query
-from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import InputError, needed
 
 _MOST_CONNECTIONS = 64  # at a time; a browser opens six; chosen by hand
 _IDLE_S = 15  # seconds for the header of a request, and between requests; chosen by hand
@@ -47,11 +47,8 @@ def bound(host: str, port: int, *, ports: int = 1) -> socket.socket:
 
 def require_extra() -> None:
     """Raise MissingDependencyError where the server's libraries are not installed."""
-    try:
-        import starlette  # noqa: F401
-        import uvicorn  # noqa: F401
-    except ImportError:
-        raise MissingDependencyError(NEEDS_EXTRA) from None
+    for module in ("starlette", "uvicorn"):
+        needed(module, NEEDS_EXTRA)
 
 
 def make_server(

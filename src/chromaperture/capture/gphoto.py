@@ -11,9 +11,9 @@ from typing import Any
 
 from chromaperture.capture.files import read_counts
 from chromaperture.capture.picture_format import described
-from chromaperture.capture.source import Frame, PictureSource, needed
+from chromaperture.capture.source import Frame, PictureSource
 from chromaperture.capture.threaded_source import not_there
-from chromaperture.system.errors import InputError
+from chromaperture.system.errors import InputError, needed
 
 _HINT = "tethered cameras need gphoto2: pip install 'chromaperture[cameras]'"
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from chromaperture.capture.bayer import PATTERNS, superpixels
-from chromaperture.capture.source import Frame, needed
+from chromaperture.capture.source import Frame
 from chromaperture.capture.threaded_source import DeviceLostError, not_there
-from chromaperture.system.errors import InputError
+from chromaperture.system.errors import InputError, needed
 
 _WAIT_S = 2.0  # for a frame; the longest exposures of a moving camera are far shorter. Chosen by hand
 # Frames after which automatic exposure has settled and controls that were set are in force; the manual's examples

@@ -18,10 +18,9 @@ import tifffile
 from chromaperture.capture.bayer import check_not_quad, quad_message, superpixels
 from chromaperture.capture.picture_format import PictureFormat, mosaic_format
 from chromaperture.capture.picture_header import TIFF_MARKS, check_size
-from chromaperture.capture.source import needed
 from chromaperture.capture.tiff import from_pages
 from chromaperture.color.encoding import PATTERNS, Encoding
-from chromaperture.system.errors import InputError
+from chromaperture.system.errors import InputError, needed
 from chromaperture.system.validation import quoted
 
 _TURNS = {3: 180, 5: 270, 6: 90}  # LibRaw's codes of an orientation, degrees clockwise

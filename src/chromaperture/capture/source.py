@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -19,15 +18,7 @@ import numpy as np
 
 from chromaperture.color.encoding import CENTRED, Encoding, Levels, develop_counts
 from chromaperture.color.image import DARK
-from chromaperture.system.errors import InputError, MissingDependencyError
-
-
-def needed(module: str, hint: str) -> Any:
-    """Import an optional package; raises MissingDependencyError with what to do."""
-    try:
-        return importlib.import_module(module)
-    except (ImportError, OSError):  # a shared library may be missing
-        raise MissingDependencyError(hint) from None
+from chromaperture.system.errors import InputError
 
 
 def checked_fps(fps: float) -> float:

@@ -7,16 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import InputError, needed
 
 
 def openexr() -> Any:
     """Import OpenEXR; raises MissingDependencyError naming the extra."""
-    try:
-        import OpenEXR
-    except ImportError:
-        raise MissingDependencyError("OpenEXR files need the extra: pip install 'chromaperture[exr]'") from None
-    return OpenEXR
+    return needed("OpenEXR", "OpenEXR files need the extra: pip install 'chromaperture[exr]'")
 
 
 def write_exr(

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from chromaperture.capture.shots import counted, one_of_each
-from chromaperture.system.errors import ChromapertureError, InputError, MissingDependencyError
+from chromaperture.system.errors import ChromapertureError, InputError, needed
 
 # Stores where an object appears whole when its upload ends, so that it needs no temporary name.
 _WHOLE_OBJECTS = {"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "oci", "memory"}
@@ -183,10 +183,7 @@ def upload(files: Iterable[Path], folder: str) -> None:
 
 def _opened(url: str) -> tuple[Any, str]:
     """Return the store of a URL and the path inside it; credentials come from the environment, see fsspec."""
-    try:
-        import fsspec
-    except ImportError:
-        raise MissingDependencyError(f"{url} needs the extra: pip install 'chromaperture[cluster]'") from None
+    fsspec = needed("fsspec", f"{url} needs the extra: pip install 'chromaperture[cluster]'")
     try:
         store, path = fsspec.url_to_fs(url)
     except ImportError as error:

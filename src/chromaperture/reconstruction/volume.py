@@ -14,7 +14,7 @@ from chromaperture.products.rectified import View
 from chromaperture.reconstruction.ray_casting import EDGE, cast_rays, enlarged_distances, table_of
 from chromaperture.reconstruction.tracking import scaled
 from chromaperture.system.compilation import compiled
-from chromaperture.system.errors import MissingDependencyError
+from chromaperture.system.errors import needed
 from chromaperture.system.threads import in_parallel
 
 # Of the truncation: voxels farther from the surface keep their colour. A mesh takes colours from within a voxel of it;
@@ -142,10 +142,7 @@ _BESIDE_VOXELS = 2.0  # a block that far from any surface has no part in it
 
 def open3d() -> Any:
     """Import Open3D; raises MissingDependencyError naming the extra."""
-    try:
-        import open3d
-    except ImportError:
-        raise MissingDependencyError("3D models need the extra: pip install 'chromaperture[reconstruct]'") from None
+    open3d = needed("open3d", "3D models need the extra: pip install 'chromaperture[reconstruct]'")
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     return open3d
 

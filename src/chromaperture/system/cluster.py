@@ -12,7 +12,7 @@ from itertools import islice
 from queue import Empty, SimpleQueue
 from typing import Any, Generic, TypeVar
 
-from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import InputError, needed
 
 T = TypeVar("T")
 
@@ -38,11 +38,7 @@ class Finished(Generic[T]):
 
 def dask_distributed() -> Any:
     """Import Dask's distributed scheduler; raises MissingDependencyError naming the extra."""
-    try:
-        import distributed
-    except ImportError:
-        raise MissingDependencyError("--cluster needs the extra: pip install 'chromaperture[cluster]'") from None
-    return distributed
+    return needed("distributed", "--cluster needs the extra: pip install 'chromaperture[cluster]'")
 
 
 @contextlib.contextmanager
