@@ -35,7 +35,7 @@ from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.layered_model import radius_per_disparity
 from chromaperture.effects.refocusing import BACKGROUND_EFFECTS, Focus, apply_background
-from chromaperture.effects.restore import SharpPicture, restore
+from chromaperture.effects.restore import SharpPicture, brightened, radius_at, restore
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.frame_files import OUTPUTS, write_format
 from chromaperture.model.camera_file import Calibration
@@ -53,7 +53,6 @@ DEPTH_INSIDE = ("gdepth", "dynamic-depth")  # outputs that are photographs with 
 _KEPT_PHOTOS = 3  # measured photographs for tap-to-focus; 24 megapixels take 1 GB each
 _KEPT_EYES = 4  # cameras at a quality and a size, with their curves
 _KEPT_PLANS = 4  # of 2.4 MB for 720x480
-_WHITE = 0.95  # of the screen, for the brightest 0.2 % of a refocused picture; as `chromaperture refocus`
 
 
 @dataclass
@@ -230,11 +229,10 @@ class Workbench:
                 frame.image, frame.disparity_px, photo.camera, sigma_px=frame.disparity_sigma_px,
                 sharpness=cast(Any, sharpness),
             )  # fmt: skip
-            gain = float(_WHITE / max(np.percentile(sharp.color, 99.8), 1e-6))
-            photo.sharp = {sharpness: SharpPicture(sharp.color * gain, sharp.radius_px)}
+            photo.sharp = {sharpness: brightened(sharp)}
         picture = photo.sharp[sharpness]
         strength = 1.0 if f_number is None or not own else own / f_number
-        focus = Focus(_radius_at(picture.radius_px, at), strength)
+        focus = Focus(_radius_at(picture, at), strength)
         return linear_to_srgb_bytes(apply_background(picture.color, picture.radius_px, focus, background))
 
     def with_depth_inside(self, key: str, output: str = DEPTH_INSIDE[0]) -> bytes:
@@ -318,12 +316,11 @@ def _at_once(photo: Photo) -> SharpPicture:
     return SharpPicture(frame.color, disparity * per_disparity)
 
 
-def _radius_at(radius_px: np.ndarray, at: tuple[float, float] | None) -> float:
+def _radius_at(picture: SharpPicture, at: tuple[float, float] | None) -> float:
     """Return the capture's blur radius at a place of the picture: of the window that `refocus --point` takes."""
     if at is None:
         return 0.0
     if not all(math.isfinite(v) and 0 <= v <= 1 for v in at):
         raise InputError("the place to focus on lies outside the picture")
-    height, width = radius_px.shape
-    x, y = (min(int(v * n), n - 1) for v, n in zip(at, (width, height), strict=True))
-    return float(np.median(radius_px[max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4]))
+    x, y = (min(int(v * n), n - 1) for v, n in zip(at, picture.radius_px.shape[::-1], strict=True))
+    return radius_at(picture, x, y)

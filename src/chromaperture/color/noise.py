@@ -210,19 +210,6 @@ def exposure_to_restore(loss_db: float) -> Exposure:
     return Exposure(10 ** (loss_db / 10), 10 ** (loss_db / 20))
 
 
-def expected_loss_db(transmission: float, *, read_variance_ratio: float = 0.0) -> float:
-    """Compute the loss of SNR by an aperture from its transmission.
-
-    ``transmission``: fraction of the light, (0, 1]; ``read_variance_ratio``: variance of the read noise over that of
-    the shot noise at full light. Returns float, dB: 10 log10(1 / T) for shot noise alone.
-    """
-    if not 0 < transmission <= 1 or read_variance_ratio < 0:
-        raise InputError("transmission must lie in (0, 1] and the ratio of read noise must be >= 0")
-    open_snr = 1 / np.sqrt(1 + read_variance_ratio)
-    coded_snr = transmission / np.sqrt(transmission + read_variance_ratio)
-    return float(20 * np.log10(open_snr / coded_snr))
-
-
 def _central(shape: tuple[int, ...]) -> np.ndarray:
     """Mask the middle two thirds of width and height; the rest is border (paper section 4.3)."""
     height, width = shape[:2]

@@ -52,6 +52,7 @@ def interleave(places, colors, vertices):  # type: ignore[no-untyped-def]
 # Rays are linear between pixels so far apart, to within 0.002 px for a wide lens (focal length 500 px, k1 = 0.1).
 RAY_PITCH_PX = 4
 _VERTICES = 1 << 16  # written at once; chosen by hand
+_UNIT = "mm; origin at the entrance pupil, x right, y down, z forward"
 _VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])  # PLY has no padding
 
 
@@ -121,7 +122,7 @@ def write_depth_ply(
     """Write the points of `depth_to_points` as `write_ply` does, in bands of rows by several threads."""
     path, before = Path(path), _points_above(depth_mm)
     rays = grid_of_rays(depth_mm.shape, np.asarray(camera_matrix, float), np.asarray(distortion, float))
-    header, delta = _ply_header(int(before[-1])), float(sensor_to_pupil_mm)
+    header, delta = ply_header(int(before[-1])), float(sensor_to_pupil_mm)
     with path.open("wb") as file:
         file.write(header)
 
@@ -148,23 +149,22 @@ def write_ply(path: str | Path, cloud: PointCloud) -> None:
     cloud : PointCloud
         Of `depth_to_points` or `DepthFrame.points`.
     """
-    vertices = np.empty(_VERTICES, _VERTEX)
     with Path(path).open("wb") as file:
-        file.write(_ply_header(len(cloud.points_mm)))
+        file.write(ply_header(len(cloud.points_mm)))
         for start in range(0, len(cloud.points_mm), _VERTICES):
             points, colors = cloud.points_mm[start : start + _VERTICES], cloud.colors[start : start + _VERTICES]
-            vertices["xyz"][: len(points)], vertices["rgb"][: len(points)] = points, colors
-            file.write(vertices[: len(points)].data)
+            file.write(ply_vertices(points, colors).data)
 
 
-def _ply_header(count: int) -> bytes:
+def ply_header(count: int, unit: str = _UNIT, *more: str) -> bytes:
+    """Return the header of a binary PLY of coloured vertices; ``more`` are lines of what follows them."""
     names = [f"property float {n}" for n in "xyz"] + [f"property uchar {n}" for n in ("red", "green", "blue")]
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        "comment unit: mm; origin at the entrance pupil, x right, y down, z forward",
-        f"element vertex {count}",
-        *names,
-        "end_header\n",
-    ]
-    return "\n".join(lines).encode("ascii")
+    head = ["ply", "format binary_little_endian 1.0", f"comment unit: {unit}", f"element vertex {count}"]
+    return "\n".join([*head, *names, *more, "end_header\n"]).encode("ascii")
+
+
+def ply_vertices(points: np.ndarray, colors: np.ndarray) -> np.ndarray:
+    """Return points and their colours as a PLY file stores them."""
+    vertices = np.empty(len(points), _VERTEX)
+    vertices["xyz"], vertices["rgb"] = points, colors
+    return vertices

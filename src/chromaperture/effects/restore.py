@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations, pairwise, product
 from typing import Literal, get_args
@@ -159,6 +159,16 @@ def _align_bands(
         found = align_channels(balanced[seen], disparity[seen], shifts, displacement_px=moved)
         color[band] = found[top - seen.start :][: band.stop - top]
     return color
+
+
+def brightened(picture: SharpPicture) -> SharpPicture:
+    """Scale a restored picture so that its brightest 0.2 % lie just below white."""
+    return replace(picture, color=picture.color * float(0.95 / max(np.percentile(picture.color, 99.8), 1e-6)))
+
+
+def radius_at(picture: SharpPicture, x: int, y: int) -> float:
+    """Return the capture's blur radius at a pixel: the median of a window of 7 px."""
+    return float(np.median(picture.radius_px[max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4]))
 
 
 def fitted_settings(reach: float, *, reweightings: int) -> SharpenConfig:

@@ -16,6 +16,7 @@ import numpy as np
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.capture.source import Frame
 from chromaperture.color.srgb import srgb_to_linear
+from chromaperture.depth.pointcloud import ply_header, ply_vertices
 from chromaperture.products.rectified import View, of_stream, undistorter
 from chromaperture.reconstruction.fusion import Placed, Reconstruction
 from chromaperture.reconstruction.settings import ReconstructionConfig
@@ -127,22 +128,12 @@ class Tracker:
 
 def write_mesh_ply(path: Path, mesh: Mesh) -> None:
     """Write a binary PLY in mm: vertices with 8-bit colours, and triangles."""
-    vertices = np.empty(len(mesh.vertices_mm), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])
-    vertices["xyz"], vertices["rgb"] = mesh.vertices_mm, mesh.colors
+    vertices = ply_vertices(mesh.vertices_mm, mesh.colors)
     faces = np.empty(len(mesh.triangles), dtype=[("n", "u1"), ("corners", "<i4", 3)])
     faces["n"], faces["corners"] = 3, mesh.triangles
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        "comment unit: mm; axes of the first camera: x right, y down, z forward",
-        f"element vertex {len(vertices)}",
-        *(f"property float {n}" for n in "xyz"),
-        *(f"property uchar {n}" for n in ("red", "green", "blue")),
-        f"element face {len(faces)}",
-        "property list uchar int vertex_indices",
-        "end_header\n",
-    ]
-    path.write_bytes("\n".join(lines).encode("ascii") + vertices.tobytes() + faces.tobytes())
+    unit = "mm; axes of the first camera: x right, y down, z forward"
+    lists = f"element face {len(faces)}", "property list uchar int vertex_indices"
+    path.write_bytes(ply_header(len(vertices), unit, *lists) + vertices.tobytes() + faces.tobytes())
 
 
 def glb(mesh: Mesh) -> bytes:

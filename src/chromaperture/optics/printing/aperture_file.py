@@ -28,6 +28,7 @@ from chromaperture.optics.aperture import (
     checked_aperture,
     design_named,
     film_named,
+    made_of,
 )
 from chromaperture.system.errors import InputError
 from chromaperture.system.validation import Name, Table, checked, quoted, read_bytes, read_toml
@@ -248,6 +249,12 @@ class _ApertureTable(Table):
     views: Annotated[tuple[Name, ...], Field(max_length=MOST_PIECES)] | None = None
     filters: Annotated[dict[Name, _FilterTable], Field(max_length=MOST_PIECES)] = Field(default_factory=dict)
     part: Annotated[tuple[_PartTable, ...], Field(max_length=MOST_PIECES)] = ()
+
+
+def load_made(name_or_path: str, film: str) -> Aperture:
+    """Return a design made of a film, or that of a file with its own film."""
+    aperture = load_aperture(name_or_path)
+    return aperture if name_or_path.lower().endswith((".toml", ".svg")) else made_of(aperture, film)
 
 
 def aperture_from_dict(data: Mapping[str, Any], *, name: str) -> Aperture:
