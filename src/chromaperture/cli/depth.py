@@ -41,7 +41,7 @@ from chromaperture.system.errors import CaptureWarning, ChromapertureError, Inpu
 
 if TYPE_CHECKING:
     from chromaperture.camera.camera import CodedApertureCamera
-    from chromaperture.products.archive import Recipe
+    from chromaperture.products.archive import Outcome, Recipe
     from chromaperture.products.measure_file import Written
 
 MOST_COLUMNS = 6  # photographs in a table of results; more are counted. Six fit a line of 160 letters
@@ -257,6 +257,17 @@ class Batch:
         """How many were measured, kept, and failed."""
         return f"{self.measured} measured, {len(self.kept)} complete before, {len(self.failed)} failed"
 
+    def take(self, outcome: Outcome) -> None:
+        """Count what another process reports, and pass its warnings on."""
+        for text in outcome.warnings:
+            warnings.warn(text, CaptureWarning, stacklevel=2)
+        if outcome.error:
+            self.failed.append((outcome.image, outcome.error))
+        elif outcome.kept:
+            self.kept.append(outcome.image)
+        else:
+            self.measured += 1
+
     def exit_if_failed(self) -> None:
         """End with 1 where some could not be measured, with 2 where none could."""
         if self.failed:
@@ -346,18 +357,12 @@ def _in_processes(images: Sequence[Path], recipe: Recipe, jobs: int, batch: Batc
     reports: dict[str, Written] = {}
     names = [absolute(str(image)) for image in images]
     for done, outcome in enumerate(measure_in_processes(names, recipe, jobs=jobs), 1):
-        for text in outcome.warnings:
-            warnings.warn(text, CaptureWarning, stacklevel=2)
+        batch.take(outcome)
         if outcome.error:
-            batch.failed.append((outcome.image, outcome.error))
             name = Path(outcome.image).name
             say_error(outcome.error if name in outcome.error else f"{name}: {outcome.error}")
         else:
             reports[outcome.image] = _read(outcome.image, recipe)
-            if outcome.kept:
-                batch.kept.append(outcome.image)
-            else:
-                batch.measured += 1
         yield done
     batch.reports += [reports[name] for name in names if name in reports]
     batch.kept.sort(key=names.index)  # processes end in any order
@@ -403,15 +408,9 @@ def measure_archive(
         with progress(quiet=quiet) as update:
             update("waiting for the cluster", 0, len(images))
             for done, outcome in enumerate(measure_on_cluster(images, recipe, address), 1):
-                for text in outcome.warnings:
-                    warnings.warn(text, CaptureWarning, stacklevel=2)
+                batch.take(outcome)
                 if outcome.error:
-                    batch.failed.append((outcome.image, outcome.error))
                     say_error(f"{outcome.image}: {outcome.error}")
-                elif outcome.kept:
-                    batch.kept.append(outcome.image)
-                else:
-                    batch.measured += 1
                 update(batch.stage, done, len(images))
     except InputError as error:
         raise InputError(f"{error} ({batch.counts}, of {len(images)})") from None

@@ -28,12 +28,8 @@ class DepthComparison:
 
     a: StoredDepth
     b: StoredDepth
-    # ``difference_mm``, ``difference_percent``: (H, W) float32: B - A, and the same of A; NaN where either is unknown.
-    difference_mm: np.ndarray
-    difference_percent: np.ndarray
-    # (H, W) float32: B - A in units of the error bars that there are, combined as independent; None where there are
-    # none.
-    in_sigmas: np.ndarray | None
+    difference_percent: np.ndarray  # (H, W) float32: B - A, of A; NaN where either is unknown
+    in_sigmas: np.ndarray | None  # (H, W) float32: B - A in units of the error bars that there are, independent
     figures: dict[str, Any]  # of `chromaperture compare --json`
 
 
@@ -68,7 +64,7 @@ def compare_depth(a: StoredDepth, b: StoredDepth) -> DepthComparison:
         "error_bars": _honesty(in_sigmas, "".join(name for name, _ in sigmas)),
         "by_distance": _by_distance(a.depth_mm, percent, in_sigmas, in_a, both),
     }
-    return DepthComparison(a, b, difference, percent, in_sigmas, figures)
+    return DepthComparison(a, b, percent, in_sigmas, figures)
 
 
 def _spread(values: np.ndarray) -> dict[str, float]:
@@ -141,10 +137,8 @@ class CameraComparison:
     names: tuple[str, str]  # (str, str)
     quality: str
     distances_mm: np.ndarray  # (D,) float: as camera A has them, evenly in 1 / distance over the range of both
-    # (D, G, G) float: what B makes of A's disparity, less A's depth, % of it; over a grid of positions, corner to
-    # corner.
+    # (D, G, G) float: what B makes of A's disparity, less A's depth, % of it; over a grid of positions, to the corners
     difference_percent: np.ndarray
-    sigma_percent: np.ndarray  # (D, G, G) float: error bar of the calibrations, both together
     aspect: float  # width of the frame over its height
     figures: dict[str, Any]
 
@@ -215,7 +209,7 @@ def compare_cameras(
             for distance, row, bar in zip(distances, percent, sigma, strict=True)
         ],
     }  # fmt: skip
-    return CameraComparison(names, quality, distances, percent, sigma, a.sensor.width_px / a.sensor.height_px, figures)
+    return CameraComparison(names, quality, distances, percent, a.sensor.width_px / a.sensor.height_px, figures)
 
 
 _BARS = 81  # of a histogram; odd, so that one is at 0

@@ -7,6 +7,7 @@ import json
 import math
 import struct
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -90,12 +91,6 @@ def glb_bytes(mesh: TexturedMesh, *, name: str = "photograph", quality: int = 92
     texture, indices = mesh.texture.astype("<f4"), mesh.triangles.astype("<u4")
     file = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(mesh.picture)).save(file, "JPEG", quality=quality, subsampling=0)
-    parts = [positions.tobytes(), texture.tobytes(), indices.tobytes(), file.getvalue()]
-    views: list[dict[str, Any]] = []
-    at = 0
-    for data, target in zip(parts, (_ARRAY, _ARRAY, _ELEMENTS, None), strict=True):
-        views.append({"buffer": 0, "byteOffset": at, "byteLength": len(data)} | ({"target": target} if target else {}))
-        at += len(data)
     height, width = mesh.picture.shape[:2]
     k = mesh.camera_matrix
     camera = {
@@ -134,16 +129,25 @@ def glb_bytes(mesh: TexturedMesh, *, name: str = "photograph", quality: int = 92
             {"bufferView": 1, "componentType": _FLOAT, "count": len(texture), "type": "VEC2"},
             {"bufferView": 2, "componentType": _UINT32, "count": indices.size, "type": "SCALAR"},
         ],
-        "bufferViews": views,
-        "buffers": [{"byteLength": at}],
     }  # fmt: skip
-    text = json.dumps(tree).encode()
+    return glb_file(tree, [positions, texture, indices, np.frombuffer(file.getvalue(), np.uint8)])
+
+
+def glb_file(tree: dict[str, Any], parts: Sequence[np.ndarray]) -> bytes:
+    """Return a binary glTF 2.0 file of a tree and its buffer: two arrays of the vertices, indices, then pictures."""
+    views: list[dict[str, Any]] = []
+    at = 0
+    for data, target in zip(parts, (_ARRAY, _ARRAY, _ELEMENTS, None), strict=False):
+        kind = {"target": target} if target else {}
+        views.append({"buffer": 0, "byteOffset": at, "byteLength": data.nbytes, **kind})
+        at += data.nbytes
+    text = json.dumps({**tree, "bufferViews": views, "buffers": [{"byteLength": at}]}).encode()
     text += b" " * (-len(text) % 4)
-    binary = b"".join(parts)
-    binary += b"\0" * (-len(binary) % 4)
-    header = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(binary))
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return header + chunks
+    padding = b"\0" * (-at % 4)
+    size = at + len(padding)
+    header = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + size)
+    texts = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", size, b"BIN\0")
+    return b"".join([header, texts, *(part.data for part in parts), padding])  # one copy: models have many megabytes
 
 
 _SENSOR_MM = 36.0  # width of the camera's aperture; only its ratio to the focal length matters

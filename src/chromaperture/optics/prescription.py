@@ -136,13 +136,8 @@ def lens_from_dict(data: Mapping[str, Any], *, name: str) -> Prescription:
     table = checked(_LensTable, dict(data), where=f"lens {quoted(name)}")
     surfaces = tuple(
         Surface(
-            radius_mm=row.radius_mm,
-            thickness_mm=row.thickness_mm,
-            index_d=row.index_d,
-            abbe=row.abbe,
+            **row.model_dump(exclude={"clear_diameter_mm", "stop"}),
             semi_diameter_mm=row.clear_diameter_mm / 2,
-            conic=row.conic,
-            coefficients=row.coefficients,
             role="stop" if row.stop else "",
         )
         for row in table.surface

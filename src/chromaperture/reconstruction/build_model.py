@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
-import struct
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -17,6 +15,7 @@ from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.capture.source import Frame
 from chromaperture.color.srgb import srgb_to_linear
 from chromaperture.depth.pointcloud import ply_header, ply_vertices
+from chromaperture.files.textured_mesh import glb_file
 from chromaperture.products.rectified import View, of_stream, undistorter
 from chromaperture.reconstruction.fusion import Placed, Reconstruction
 from chromaperture.reconstruction.settings import ReconstructionConfig
@@ -143,10 +142,6 @@ def glb(mesh: Mesh) -> bytes:
     levels = np.rint(srgb_to_linear(np.arange(256, dtype=np.float32) / 255) * 65535)
     colors[:, :3] = levels.astype("<u2")[mesh.colors]
     indices = mesh.triangles.astype("<u4").ravel()
-    parts, views, at = (positions, colors, indices), [], 0  # each a multiple of four bytes, as the format requires
-    for data, target in zip(parts, (34962, 34962, 34963), strict=True):  # vertex data, vertex data, indices
-        views.append({"buffer": 0, "byteOffset": at, "byteLength": data.nbytes, "target": target})
-        at += data.nbytes
     corner = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()} if len(positions) else {}
     tree = {
         "asset": {"version": "2.0", "generator": "chromaperture"},
@@ -160,14 +155,8 @@ def glb(mesh: Mesh) -> bytes:
             {"bufferView": 1, "componentType": 5123, "normalized": True, "count": len(colors), "type": "VEC4"},
             {"bufferView": 2, "componentType": 5125, "count": len(indices), "type": "SCALAR"},
         ],
-        "bufferViews": views,
-        "buffers": [{"byteLength": at}],
     }
-    text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    header = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + at)
-    texts = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", at, b"BIN\0")
-    return b"".join([header, texts, *(part.data for part in parts)])  # one copy: a model has many megabytes
+    return glb_file(tree, [positions, colors, indices])  # each a multiple of four bytes, as the format requires
 
 
 def write_trajectory(path: Path, placed: Iterable[Placed]) -> None:
