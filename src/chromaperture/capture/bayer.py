@@ -13,7 +13,7 @@ from chromaperture.color.encoding import PATTERNS, Encoding, Offsets
 from chromaperture.system.errors import InputError
 
 # A Bayer mosaic's 2 x 2 cells have the same mean colours wherever they are, a Quad-Bayer's photosites within a cell:
-# of the sample capture .0002 and .275 of the mean apart, the other way round for quad. Chosen by hand between.
+# of the sample capture 0.0002 and 0.275 of the mean apart, the other way round for quad. Chosen by hand between.
 _LEAST_OF_CELLS, _TIMES_OF_SITES = 0.02, 3.0
 _BLOCKS = 500  # of 4 x 4 photosites each way, from which the means are taken
 

@@ -19,11 +19,11 @@ from chromaperture.system.errors import CaptureWarning, InputError
 _MOST_SATURATED, _MUCH_SATURATED = 0.98, 0.05  # fractions of the pixels: an error, a warning
 _MOST_DARK = 0.99  # fraction of the samples
 # Values beyond are no light and count as unknown: above the white level nothing is told anyway, and noise about black
-# is smaller. An area of 1e30 or -0.5 (1/35 of the sample) changed the means, and so depth by 5 % in .20 and .10 of the
-# pixels far away; unknown, it changes .02 of them.
+# is smaller. An area of 1e30 or -0.5 (1/35 of the sample) changed the means, and so depth by 5 % in 0.20 and 0.10 of
+# the pixels far away; unknown, it changes 0.02 of them.
 _LEAST_LIGHT, _MOST_LIGHT = -0.1, 2.0
 # Colours that a tag's primaries bring so far below zero, of the largest channel, are rare: not even the purest red of
-# Display P3 is one. Of photographs through film by a true tag 0, of one of sRGB numbers tagged BT.2020 .08 of the
+# Display P3 is one. Of photographs through film by a true tag 0, of one of sRGB numbers tagged BT.2020 0.08 of the
 # pixels are such; the limit between is chosen by hand.
 _NEGATIVE, _MOST_NEGATIVE, _SPARSE = -0.05, 0.03, 200  # the last: rows and columns that are looked at
 _SAMPLES = 20_000  # pixels that are checked: standard error of a fraction below 0.4 %

@@ -16,7 +16,7 @@ from chromaperture.system.errors import CaptureWarning, InputError
 from chromaperture.system.threads import each_band
 
 KNOTS = 10  # exponents of a curve; chosen by hand
-_PLACES = 513  # of the table, evenly over sRGB codes; above a value of .01 powers .5 to 3 are off by less than 2e-5
+_PLACES = 513  # of the table, evenly over sRGB codes; above a value of 0.01 powers 0.5 to 3 are off by less than 2e-5
 _LEAST = 1e-6  # decoded value whose logarithm stands for that of 0
 
 

@@ -40,8 +40,8 @@ def is_saturated(sheet: np.ndarray) -> bool:
 # A pixel is defective where it stands out of all its neighbours by so many standard deviations of noise, by so many
 # times the range of those neighbours, which the blur of a lens would have raised with it, and from their median by so
 # many times as much as the other channels do there: a point that is imaged sharply shows in all of them. Of 240 hot,
-# half hot, weak (.25 of white) and dead pixels .98, .93, .84 and .92 are found; of sound ones 29 in 80 random scenes
-# of 720x480 px, most of them points of prints in focus, and none in bench50's scenes.
+# half hot, weak (0.25 of white) and dead pixels 0.98, 0.93, 0.84 and 0.92 are found; of sound ones 29 in 80 random
+# scenes of 720x480 px, most of them points of prints in focus, and none in bench50's scenes.
 _SIGMAS, _TIMES_RANGE, _TIMES_OTHERS = 8.0, 2.0, 3.0
 
 

@@ -17,8 +17,8 @@ _BLOCK_SAMPLES = 32  # along each side
 KERNEL_NORM = 6.0  # root of the sum of squares of that kernel
 _BLOCK_SIGMA = 0.086  # relative standard error of a block's variance, sqrt(2 / 271): 1024 correlated px act as 271
 # Sides of the squares of pixels whose means are looked at. In the middle light they show 1.00, 1.00, 1.01 times the
-# noise variance of a simulated sensor in linear files, .11, .66, 1.18 in JPEG of quality 95, .05, .42, 1.10 in quality
-# 90, .01, .29, .97 in a Bayer mosaic that is interpolated bilinearly.
+# noise variance of a simulated sensor in linear files, 0.11, 0.66, 1.18 in JPEG of quality 95, 0.05, 0.42, 1.10 in
+# quality 90, 0.01, 0.29, 0.97 in a Bayer mosaic that is interpolated bilinearly.
 _SCALES_PX = (1, 2, 4)
 _CLEARLY_MORE = 1.2  # noise by which a coarser scale must exceed the finer ones, which know it better; chosen by hand
 _MIDDLE_LIGHT = 0.5  # of the white level, where scales are compared
@@ -34,7 +34,7 @@ _RATIO_SAMPLES = 16  # along each side of a block; chosen by hand
 _RATIO_PERCENTILE = 5  # of the blocks' least eigenvalues: other blocks hold detail; chosen by hand
 _OF_EXPECTED_NOISE = 0.61  # that percentile where there is white noise of the expected variance alone; simulated
 _CLEAR_RATIO = 1.5  # a smaller one is none: it may be the scatter of blocks, or detail in several colours
-_DEVELOPED = 0.5  # ratio at the finest scale of files that lack noise there: JPEG has .1, an interpolated mosaic .02
+_DEVELOPED = 0.5  # ratio at the finest scale of files that lack noise there: JPEG has 0.1, an interpolated mosaic 0.02
 _FEWEST_OF_RATIO = 30  # blocks, for a percentile; chosen by hand
 _MOST_ELECTRONS = 1e7  # no pixel holds more: quieter pictures were computed, not photographed
 

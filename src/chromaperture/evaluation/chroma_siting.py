@@ -27,7 +27,7 @@ from chromaperture.system.robust import MEDIAN_INEFFICIENCY, robust_sigma
 
 _NAME = "chroma siting"
 _WHERE = {"centre": "in the middle", "left": "at the left", "top-left": "at the top left"}
-_TOLERANCE_PX = 0.15  # sitings are half a pixel apart; codecs and parallax of 3 px leave .06
+_TOLERANCE_PX = 0.15  # sitings are half a pixel apart; codecs and parallax of 3 px leave 0.06
 _MOST_SIGMA_PX = 0.05  # three of them are the tolerance
 _SHOWN_MM = 1000.0  # distance at which the error is told, where the camera's range holds it
 _LEAST_CONTRAST = 0.4  # of Y/B - Y/R: half a pixel of chroma is then 0.2 px of R against B

@@ -36,7 +36,7 @@ _FAR_FROM_FOCUS_PX = 0.4  # expected disparity below which a turned filter is wi
 _TURNED_TOLERANCE_PX = 0.35  # from the mirrored disparity: the bias is larger with the wrong layout of the filter
 _DEPTH_TOLERANCE = 0.02
 _SQUARE_TOLERANCE = 0.02  # of the square's side: poses behind blur err by 1 %; the disparity's tolerance is added
-# Rms error of the exponents: single boards of four linear sessions have at most .10, of files with a tone curve .33.
+# Rms error of the exponents: single boards of four linear sessions have at most 0.10, of files with a tone curve 0.33.
 _TONE_TOLERANCE = 0.2
 _SEARCH_MARGIN_PX = 1.5  # beyond the calibrated disparities: a refocused camera has others
 _LEAST_MEASURED = 0.25  # fraction of the board's pixels that must have a disparity

@@ -283,11 +283,11 @@ def _against_rulers(result: CalibrationResult) -> list[str]:
     ]
 
 
-# Of 22 right cameras of simulated sessions, seven designs, focal lengths are .94 to 1.01 of the stated ones, baselines
-# .98 to 1.08 of those of design and f-number, .75 to .88 of open designs, whose rim vignettes.
+# Of 22 right cameras of simulated sessions, seven designs, focal lengths are 0.94 to 1.01 of the stated ones, baselines
+# 0.98 to 1.08 of those of design and f-number, 0.75 to 0.88 of open designs, whose rim vignettes.
 _FOCAL_TOLERANCE = 0.15  # engraved ones are rounded, and lenses change theirs when they focus near
 _BASELINE_RATIO = (0.65, 1.35)  # a wrong f-number by a stop is 1.4
-# Halves taken for the open design are 2.54, for three squares .07; a wrong f-number by two stops is 2.
+# Halves taken for the open design are 2.54, for three squares 0.07; a wrong f-number by two stops is 2.
 _OTHER_DESIGN_RATIO = (0.4, 2.2)
 
 

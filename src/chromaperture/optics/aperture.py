@@ -47,7 +47,7 @@ def _film(**transmissions: tuple[float, float, float]) -> dict[str, Filter]:
 
 # "real": stage-light film before a Bayer sensor; it reproduces the paper's Table 1 for designs V and VII.
 # "leaky": crosstalk of the size measured by Setterfield et al. (2019) on a triple-pinhole camera, where a
-# filter passed .10 to .47 in a wrong channel against .25 to .39 in its own.
+# filter passed 0.10 to 0.47 in a wrong channel against 0.25 to 0.39 in its own.
 FILMS: dict[str, dict[str, Filter]] = {
     "ideal": {f.name: f for f in (RED, GREEN, BLUE, CYAN, MAGENTA, YELLOW)},
     "real": _film(

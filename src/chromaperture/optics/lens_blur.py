@@ -32,7 +32,7 @@ PointTransforms = Callable[[np.ndarray, np.ndarray, int, int], np.ndarray]
 _POINTS = 1500  # samples of the pupil: ten times as many change the transfer functions by 1e-3
 _RIM_SOFTNESS = 0.06  # pupil radii over which a rim fades, being out of focus at the stop; chosen by hand, not tuned
 # Distance of two channels' centroids over that of the widest pair; chosen by hand, not tuned: complementary halves
-# give 1, .5 and .5, three equal filters 1, 1 and 1.
+# give 1, 0.5 and 0.5, three equal filters 1, 1 and 1.
 _WIDE = 0.7  # at least: a primary pair
 _NARROW = 0.3  # at least, but below _WIDE: a secondary pair
 _RAMP = 16 / (3 * np.pi)  # slope of a ramp whose centroid over a disc is that of a step: 4 * 4 / (3 pi)
