@@ -20,7 +20,7 @@ import numpy as np
 from video_signal import VideoSignal, drawn_smaller, video_frame
 
 from chromaperture.app.assistant import check_shot, sheets_of
-from chromaperture.app.calibration_job import CalibrationJob
+from chromaperture.app.assistant_answers import CalibrationJob
 from chromaperture.app.session_folder import SessionFolder
 from chromaperture.app.workbench import Workbench, heard
 from chromaperture.optics.aperture import DESIGNS, OPAQUE, Aperture, Disc, SubAperture, channel_transmission, made_of

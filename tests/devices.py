@@ -10,7 +10,6 @@ import zlib
 import numpy as np
 import pytest
 
-from chromaperture.app.messages import unpack_array
 from chromaperture.matching.device import device as device_file
 from chromaperture.matching.device.device import Device, DeviceError, adapters, has_extra, open_device
 
@@ -36,6 +35,14 @@ def any_device() -> Device:
 def device_of_its_own() -> Device:
     """A device that a test may destroy."""
     return device_file._opened(*device_file._found_adapters()[0])
+
+
+def unpack_array(data, dtype=np.float32):
+    """What `chromaperture.app.messages.pack_array` packed, flat."""
+    planes = np.frombuffer(zlib.decompress(data), np.uint8).reshape(4, -1)
+    folded = np.ascontiguousarray(planes.T).view("<u4").ravel().astype(np.uint32)
+    twice = (folded >> np.uint32(1)) ^ (np.uint32(0) - (folded & np.uint32(1)))
+    return np.cumsum(np.cumsum(twice, dtype=np.uint32), dtype=np.uint32).view(dtype)
 
 
 def unpacked(message):

@@ -16,9 +16,9 @@ from chromaperture.evaluation.figures import new_figure, show_image
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.simulator.scene import Plane
 from chromaperture.products.rectified import View, undistorter
-from chromaperture.reconstruction.clean_views import cleaned
 from chromaperture.reconstruction.fusion import Reconstruction
 from chromaperture.reconstruction.settings import ReconstructionConfig
+from chromaperture.reconstruction.tracking import cleaned
 from chromaperture.reconstruction.volume import open3d
 from chromaperture.system.errors import MissingDependencyError
 from chromaperture_paper import methods, world

@@ -12,7 +12,7 @@ import numpy as np
 from chromaperture.calibration.session import read_session
 from chromaperture.capture.files import read_image
 from chromaperture.color.color_maps import OTHER
-from chromaperture.color.noise import expected_loss_db, exposure_to_restore, snr_db
+from chromaperture.color.noise import exposure_to_restore, snr_db
 from chromaperture.color.transparency_map import light_efficiency, transparency
 from chromaperture.evaluation.figures import new_figure, show_image
 from chromaperture.matching.estimate import estimate_disparity
@@ -111,7 +111,7 @@ def table_2(context: Context) -> Content:
         middle, border = snr_db(sheet)
         losses = [float(np.mean(open_middle - area)) for area in (middle, border)]
         light = 1.0 if name == "open" else light_efficiency(maps[name]).efficiency
-        predicted = expected_loss_db(light)
+        predicted = 10 * np.log10(1 / light)
         longer = exposure_to_restore(max(losses[0], 0.0))
         rows.append((
             full_name(name), f"{light:.1%}", f"{losses[0]:.1f}", f"{losses[1]:.1f}", f"{predicted:.1f}",

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from apps import BROWSER_TESTS, DESKTOP, FACTS, PHONE, chromium, chromium_with, open_photo, pages, reading, says, served
-from chromaperture.app.notes import heard
+from chromaperture.app.messages import heard
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb_bytes

@@ -20,15 +20,16 @@ import pytest
 
 from apps import TOKEN, free_port, served, write_y4m
 from chromaperture.app import certificate as kept
-from chromaperture.app.icons import ICONS, STATIC, draw_icon
 from chromaperture.app.messages import MOST_COUNT, pack_frame, to_counts
-from chromaperture.app.server import safe_name, static_files
+from chromaperture.app.server import static_files
+from chromaperture.app.workbench import safe_name
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.frame.frame_files import OUTPUTS, chosen_outputs
 from chromaperture.products.samples import open_sample, sample_camera, sample_image
 from chromaperture.system.errors import CaptureWarning
+from icons import ICONS, STATIC, draw_icon
 
 pytestmark = pytest.mark.extra("serve", "starlette")
 NAME = "still_life_cy_halves"

@@ -11,14 +11,13 @@ import pytest
 
 from apps import FACTS
 from chromaperture.app.assistant import advice, best_gain, check_shot, frame_cells, lens_of, sheets_of, state
-from chromaperture.app.calibration_job import CalibrationJob
+from chromaperture.app.assistant_answers import CalibrationJob
 from chromaperture.app.forecast import curve_sigma
 from chromaperture.app.session_folder import MOST_SHOTS, Holding, SessionFolder, Shot
 from chromaperture.app.workbench import Workbench
 from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.options import CalibrationConfig
-from chromaperture.evaluation.edge_blur import edge_blur
-from chromaperture.evaluation.session_checks import Reading
+from chromaperture.evaluation.session_checks import Reading, edge_blur
 from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import sample_camera
 from chromaperture.system.errors import InputError

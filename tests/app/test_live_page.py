@@ -33,8 +33,8 @@ from chromaperture.capture.source import FileSource, Frame
 from chromaperture.color.encoding import Encoding
 from chromaperture.depth.error_limit import within_error
 from chromaperture.products.samples import sample_camera, sample_image
-from chromaperture.reconstruction.clean_views import near_steps
 from chromaperture.reconstruction.fusion import Placed
+from chromaperture.reconstruction.tracking import near_steps
 from chromaperture.reconstruction.volume import Mesh
 from chromaperture.system.errors import InputError
 from devices import unpacked

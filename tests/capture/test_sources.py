@@ -20,7 +20,6 @@ from chromaperture.capture.open import connected_sources, open_source
 from chromaperture.capture.source import FileSource, Frame
 from chromaperture.capture.threaded_source import DeviceLostError, LiveSource, StreamEndedError, played
 from chromaperture.color.encoding import Encoding
-from chromaperture.optics.simulator.sensor import mosaic
 from chromaperture.system.errors import CaptureWarning, InputError, MissingDependencyError
 from worlds import write_dng
 
@@ -48,9 +47,8 @@ def waves(x, y):
 @pytest.mark.parametrize("pattern", PATTERNS)
 def test_channels_of_a_mosaic_come_back_on_one_grid(pattern):
     y, x = np.mgrid[:64, :96]
-    grey = np.repeat(waves(x, y)[..., None], 3, axis=2)
-    counts, encoding = superpixels(np.rint(mosaic(grey, pattern)).astype(np.uint16), pattern,
-                                   black_level=0, white_level=1000)  # fmt: skip
+    grey = np.rint(waves(x, y)).astype(np.uint16)
+    counts, encoding = superpixels(grey, pattern, black_level=0, white_level=1000)
     image = Frame(counts, encoding, 0.0, 0).image[4:-4, 4:-4]
     centres = waves(*np.meshgrid(np.arange(48) * 2 + 0.5, np.arange(32) * 2 + 0.5))[4:-4, 4:-4] / 1000
     # Rounding to counts is 0.0005; cubic interpolation of this wave errs by less than 0.001. Half a superpixel

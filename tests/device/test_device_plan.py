@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from chromaperture.app.device_plan import color_tables, light_of_counts, make_plan, make_points
-from chromaperture.app.messages import pack_array, unpack_array
+from chromaperture.app.messages import pack_array
 from chromaperture.app.workbench import Workbench
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
@@ -31,7 +31,7 @@ from chromaperture.matching.working_scale import reduced
 from chromaperture.model.scale import resized
 from chromaperture.products.samples import sample_camera
 from chromaperture.system.errors import CaptureWarning, InputError
-from devices import needs_device, unpacked
+from devices import needs_device, unpack_array, unpacked
 
 NAME = "still_life_cy_halves"
 SIZE_PX = (180, 120)

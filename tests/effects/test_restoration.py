@@ -5,10 +5,19 @@ import numpy as np
 import pytest
 
 from chromaperture.color.alignment import align_channels
-from chromaperture.effects.all_in_focus import SharpenConfig, all_in_focus, colour_lines, smoothness
+from chromaperture.effects.all_in_focus import (
+    SharpenConfig,
+    all_in_focus,
+    colour_covariance,
+    colour_lines,
+    extrapolated,
+    joint_filter,
+    natural_spectrum,
+    sharpen_layers,
+    smoothness,
+)
 from chromaperture.effects.layered_model import LayeredModel, ThinLensBlur, kernel_otf, layer_radii, layer_weights
 from chromaperture.effects.restore import by_tiles
-from chromaperture.effects.wiener import colour_covariance, extrapolated, joint_filter, natural_spectrum, sharpen_layers
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission
 from chromaperture.optics.psf import geometric_psf
 from chromaperture.optics.ray_table import pinhole_rays

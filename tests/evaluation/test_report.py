@@ -26,9 +26,9 @@ from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import DepthModel, depth_to_disparity, disparity_to_depth
 from chromaperture.depth.field import DepthField
 from chromaperture.depth.nonlinearity import Nonlinearity
-from chromaperture.evaluation import figures, tables
+from chromaperture.evaluation import figures
 from chromaperture.evaluation.figures import layer_errors, plane_residual
-from chromaperture.evaluation.report import report_html
+from chromaperture.evaluation.report import accuracy_table, report_html
 from chromaperture.evaluation.verdict import (
     board_depth,
     board_errors,
@@ -251,7 +251,7 @@ def test_quality_accurate_is_beside_the_others(result):
     assert [axes.get_title(loc="left") for axes in panels] == ["quality real-time", "quality accurate"]
     above = figures.draw_true_against_measured(both).axes[0]
     assert [text.get_text() for text in above.get_legend().get_texts()][1:] == ["real-time", "paper", "accurate"]
-    head, rows = tables.steps(both).head, tables.steps(both).rows
+    head, rows = accuracy_table(both).head, accuracy_table(both).rows
     assert "one pixel, accurate ±, mm" in head
     assert {len(row) for row in rows} == {len(head)}
     page = report_html(both, title="both")

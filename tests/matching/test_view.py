@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from chromaperture.app.page_server import PageServer
+from chromaperture.app.listening import PageServer
 from chromaperture.files.map_page import Page, Panel, render
 from chromaperture.products.samples import sample_camera, sample_image
 

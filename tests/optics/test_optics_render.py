@@ -12,7 +12,7 @@ from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.simulator.layer_renderer import behind_edges, fill_unknown, render_layers
 from chromaperture.optics.simulator.render import render, render_depth, render_sharp
 from chromaperture.optics.simulator.scene import load_scene, plane, scene_from_dict
-from chromaperture.optics.simulator.sensor import SensorModel, develop, expose, mosaic
+from chromaperture.optics.simulator.sensor import SensorModel, develop, expose
 from chromaperture.optics.simulator.textures import chessboard, noise
 from chromaperture.system.errors import InputError
 
@@ -238,14 +238,6 @@ def test_saturation_clips_and_bad_light_is_refused():
         SensorModel(black_level=100, white_level=50)
     with pytest.raises(InputError, match="full_well"):
         SensorModel(full_well_electrons=0)
-
-
-def test_mosaics_keep_the_colour_under_each_pixel():
-    image = np.broadcast_to(np.float32([1, 2, 3]), (4, 6, 3))
-    np.testing.assert_array_equal(mosaic(image, "GRBG")[:2, :2], [[2, 1], [3, 2]])
-    np.testing.assert_array_equal(mosaic(image)[2:, 4:], [[1, 2], [2, 3]])
-    with pytest.raises(InputError, match="Bayer"):
-        mosaic(image, "RGB")
 
 
 def test_chessboard_counts_its_squares():

@@ -35,7 +35,7 @@ ALLOWED: dict[str, set[str]] = {
     "effects": {"system", "optics", "color", "settings", "matching", "depth", "model", "camera"},
     "products": {"system", "color", "settings", "depth", "capture", "files", "model", "frame", "camera"},
     "calibration": {"system", "optics", "color", "settings", "matching", "depth", "capture", "model", "camera"},
-    "reconstruction": {"system", "color", "depth", "capture", "camera", "products"},
+    "reconstruction": {"system", "color", "depth", "capture", "files", "camera", "products"},
 }
 BELOW = set(ALLOWED)
 ALLOWED |= {

@@ -13,11 +13,10 @@ from scipy.spatial.transform import Rotation
 from chromaperture.products.rectified import View
 from chromaperture.products.samples import sample_camera, sample_image
 from chromaperture.reconstruction.build_model import glb, quaternion, write_mesh_ply
-from chromaperture.reconstruction.clean_views import cleaned, near_steps
 from chromaperture.reconstruction.fusion import Reconstruction, orthonormal
 from chromaperture.reconstruction.ray_casting import enlarged_distances, table_of
 from chromaperture.reconstruction.settings import ReconstructionConfig
-from chromaperture.reconstruction.tracking import prepare, track
+from chromaperture.reconstruction.tracking import cleaned, near_steps, prepare, track
 from chromaperture.reconstruction.volume import Mesh, Volume, in_order
 from chromaperture.system.errors import InputError
 

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from chromaperture.color.alignment import fill_from_nearest
-from chromaperture.reconstruction.fusion_kernels import Pixels, Voxels, clear_faint, fuse, holds_surface
 from chromaperture.reconstruction.ray_casting import CELL_PX, cast_rays, ray_ends, table_of
+from chromaperture.reconstruction.volume import Pixels, Voxels, clear_faint, fuse, holds_surface
 from readable_reconstruction import EDGE, dense, first_surface, fused, nearest_known, voxel_places
 
 VOXEL_MM, TRUNCATION_MM = 10.0, 60.0

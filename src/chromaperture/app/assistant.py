@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.app.forecast import BOARD_SIGMA_PX, Forecast, Gain, Lens, best_gain, forecast
-from chromaperture.app.notes import heard
+from chromaperture.app.messages import heard
 from chromaperture.app.session_folder import Kind, SessionFolder
 from chromaperture.calibration.fit_response import disparity_error
 from chromaperture.calibration.session import Session, nominal_depth_model
@@ -54,11 +54,7 @@ def check_shot(
     sheet: str = "",
     exposure_ms: float | None = None,
 ) -> CheckedShot:
-    """Check one photograph against the session; raises InputError where it cannot be read or a fact of it is missing.
-
-    A board has ``ruler_mm`` from the sensor plane, a white sheet its name (``open``, the design, or a sheet's), a sheet
-    at two exposures ``exposure_ms``, by default what its file states.
-    """
+    """Check one photograph against the session; raises InputError where it cannot be read or a fact is missing."""
     session = folder.prepare(photograph)
     image, notes = read_for_check(session, photograph)
     if kind == "tilt":

@@ -4,17 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import json
+import shutil
+import threading
+import time
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from chromaperture.app.assistant import check_shot, shown_check, state
-from chromaperture.app.calibration_job import CalibrationJob
 from chromaperture.app.camera_feed import CameraAnswers, write_frame
 from chromaperture.app.free_space import require_space
+from chromaperture.app.messages import File, number, whole
 from chromaperture.app.session_folder import Holding, Kind, SessionFolder
 from chromaperture.app.workbench import NAME, Workbench
-from chromaperture.system.errors import InputError
+from chromaperture.calibration.calibrate_session import calibrate_session
+from chromaperture.calibration.options import CalibrationConfig
+from chromaperture.evaluation.report import write_report
+from chromaperture.evaluation.verdict import sentences, unusable, with_accurate_noise
+from chromaperture.system.errors import ChromapertureError, InputError, lacks_memory
 from chromaperture.system.validation import checked
 
 if TYPE_CHECKING:
@@ -24,6 +32,99 @@ _MOST_SESSIONS = 200  # chosen by hand
 _KINDS = get_args(Kind)
 # Of the report: it has its styles inside, and no script.
 _REPORT = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; base-uri 'none'"
+
+
+class _Stopped(Exception):
+    pass
+
+
+@dataclass
+class CalibrationJob:
+    """One run."""
+
+    folder: Path  # the session
+    camera: Path  # to write, as the report
+    report: Path
+    lens_blur: bool = True  # fit the blur of the lens, which takes most of the time
+    holding: Holding | None = None  # of the device that took the photographs; the camera file keeps it
+    step: str = "starting"
+    done: int = 0
+    total: int = 0
+    error: str = ""
+    result: dict[str, Any] = field(default_factory=dict)
+    began: float = field(default_factory=time.monotonic)
+    _stop: threading.Event = field(default_factory=threading.Event)
+    _thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Begin; `as_shown` tells how far it is."""
+        self._thread = threading.Thread(target=self._run, name="calibration", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End it at the next step; what is measured is kept for the next run."""
+        self._stop.set()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it works."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def as_shown(self) -> dict[str, Any]:
+        """Return what the page shows."""
+        return {
+            "running": self.is_running,
+            "step": self.step,
+            "done": self.done,
+            "total": self.total,
+            "seconds": round(time.monotonic() - self.began, 1),
+            "error": self.error,
+            "result": self.result if not self.is_running else {},
+        }
+
+    def wait(self) -> None:
+        """Wait until it has ended."""
+        if self._thread is not None:
+            self._thread.join()
+
+    def _progress(self, what: str, done: int, total: int) -> None:
+        if self._stop.is_set():
+            raise _Stopped
+        self.step, self.done, self.total = what, done, total
+
+    def _run(self) -> None:
+        kept = self.camera.parent / f".{self.camera.stem}.calibrating"
+        try:
+            config = CalibrationConfig(lens_blur=self.lens_blur)
+            command = f"chromaperture calibrate {self.folder.name}"
+            result = calibrate_session(self.folder, config, command=command, progress=self._progress, keep_in=kept)
+            result = with_accurate_noise(result, progress=self._progress)
+            self.step = "report"
+            write_report(self.report, result)
+            camera = result.camera
+            if self.holding is not None:
+                camera = replace(camera, provenance={**camera.provenance, "holding": self.holding.model_dump()})
+            camera.save(self.camera)
+            shutil.rmtree(kept, ignore_errors=True)
+            self.result = {
+                "camera": self.camera.stem,
+                "unusable": unusable(result),
+                "sentences": [{"text": s.text, "tone": s.tone} for s in sentences(result)],
+                "summary": {
+                    "focal_length_mm": float(result.camera.lens.focal_length_mm),
+                    "in_focus": result.camera.in_focus_text,
+                    "baseline_mm": float(result.camera.baseline_mm),
+                },
+            }
+        except _Stopped:
+            self.error = "stopped; it goes on from here when it is started again"
+        except ChromapertureError as error:
+            self.error = " ".join(str(error).split())
+        except Exception as error:
+            if lacks_memory(error):
+                self.error = "the computer has not enough memory for this calibration; close other programs"
+            else:
+                self.error = f"the calibration failed ({type(error).__name__}: {error}); please report this"
 
 
 class AssistantAnswers:
@@ -60,9 +161,7 @@ class AssistantAnswers:
 
     async def sessions(self, request: Any) -> Any:
         """List the sessions."""
-        from starlette.responses import JSONResponse
-
-        return JSONResponse(await asyncio.to_thread(self._names))
+        return await asyncio.to_thread(self._names)
 
     def _names(self) -> list[str]:
         folders = (self.workbench.folder / "sessions").iterdir()
@@ -70,29 +169,21 @@ class AssistantAnswers:
 
     async def create(self, request: Any) -> Any:
         """Begin a session."""
-        from starlette.responses import JSONResponse
-
         asked = await _json(request)
         folder = self.folder(str(asked.get("name", "")))
         if len(self._names()) >= _MOST_SESSIONS:
             raise InputError(f"there are {_MOST_SESSIONS} sessions already; remove some from {folder.parent}")
         require_space(folder, 0, self.workbench.reserve_bytes)
         made = await self.desk.run(partial(SessionFolder.create, folder, asked.get("facts")))
-        return JSONResponse(await self.desk.run(partial(state, made)))
+        return await self.desk.run(partial(state, made))
 
     async def session(self, request: Any) -> Any:
         """Return the state of a session."""
-        from starlette.responses import JSONResponse
-
         folder = self.folder(request.path_params["name"])
-        return JSONResponse(await self.desk.run(lambda: state(_opened(folder))))
+        return await self.desk.run(lambda: state(_opened(folder)))
 
     async def shot(self, request: Any) -> Any:
         """Check a photograph; keep it where the page asks for that and no check warns, or it insists."""
-        from starlette.responses import JSONResponse
-
-        from chromaperture.app.server import Upload, number
-
         asked = request.query_params
         kind, folder = asked.get("kind", ""), self.folder(request.path_params["name"])
         if kind not in _KINDS:
@@ -108,7 +199,7 @@ class AssistantAnswers:
             frame = await asyncio.to_thread(self.cameras.feed(asked["source"]).shown_frame)
             taken_us = frame.metadata.get("exposure_us")
             exposure = exposure or (float(taken_us) / 1000 if taken_us else None)
-        async with Upload(request, self.workbench, asked.get("name", "photo.png"), is_sent=frame is None) as path:
+        async with self.workbench.upload(request, asked.get("name", "photo.png"), is_sent=frame is None) as path:
 
             def work() -> dict[str, Any]:
                 session = _opened(folder)
@@ -131,12 +222,10 @@ class AssistantAnswers:
                     "state": state(session),
                 }  # fmt: skip
 
-            return JSONResponse(await self.desk.run(work))
+            return await self.desk.run(work)
 
     async def remove(self, request: Any) -> Any:
         """Delete a kept photograph."""
-        from starlette.responses import JSONResponse
-
         asked = request.path_params
         folder, file = self.folder(asked["name"]), f"{asked['kind']}/{asked['file']}"
 
@@ -145,12 +234,10 @@ class AssistantAnswers:
             session.remove(file)
             return state(session)
 
-        return JSONResponse(await self.desk.run(work))
+        return await self.desk.run(work)
 
     async def calibrate(self, request: Any) -> Any:
         """Start the calibration."""
-        from starlette.responses import JSONResponse
-
         folder = self.folder(request.path_params["name"])
         session = _opened(folder)
         if self.is_calibrating():
@@ -163,31 +250,24 @@ class AssistantAnswers:
         )  # fmt: skip
         self.jobs[folder.name] = job
         job.start()
-        return JSONResponse(job.as_shown())
+        return job.as_shown()
 
     async def progress(self, request: Any) -> Any:
         """Return how far the calibration is."""
-        from starlette.responses import JSONResponse
-
-        return JSONResponse(self._job(request).as_shown())
+        return self._job(request).as_shown()
 
     async def stop(self, request: Any) -> Any:
         """End the calibration."""
-        from starlette.responses import JSONResponse
-
         job = self._job(request)
         job.stop()
-        return JSONResponse(job.as_shown())
+        return job.as_shown()
 
     async def report(self, request: Any) -> Any:
         """Return the report of the last calibration."""
-        from starlette.responses import Response
-
         path = self.workbench.folder / "cameras" / f"{self.folder(request.path_params['name']).name}.report.html"
         if not path.is_file():
             raise InputError("there is no report yet; calibrate first")
-        headers = {"Content-Security-Policy": _REPORT}
-        return Response(await asyncio.to_thread(path.read_bytes), media_type="text/html", headers=headers)
+        return File(await asyncio.to_thread(path.read_bytes), "text/html", {"Content-Security-Policy": _REPORT})
 
     def _job(self, request: Any) -> CalibrationJob:
         job = self.jobs.get(self.folder(request.path_params["name"]).name)
@@ -204,8 +284,6 @@ def _opened(folder: Path) -> SessionFolder:
 
 def _holding(asked: Any) -> Holding | None:
     """Read how the device is held whose camera took a photograph; None of a file."""
-    from chromaperture.app.server import whole
-
     if "angle" not in asked:
         return None
     values = {name: asked.get(name, "") for name in ("orientation", "facing")}

@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from chromaperture.app.messages import File
 from chromaperture.app.session_folder import SessionFolder
 from chromaperture.capture.open import open_source
 from chromaperture.capture.source import Event, Frame
@@ -52,10 +53,7 @@ class CameraFeed:
         self._failure = self._event = ""
 
     def next_frame(self) -> Frame:
-        """Return the newest frame of a live camera, the next one of another source.
-
-        Raises InputError where it cannot be opened, was taken away, has ended, or gives nothing.
-        """
+        """Return the newest frame of a live camera, the next one of another source; raises InputError without one."""
         if not self._turn.acquire(timeout=self.wait_s):
             raise InputError(f"{self.name} is still busy with the picture before; try again")
         try:
@@ -171,10 +169,7 @@ def preview_jpeg(frame: Frame) -> bytes:
 
 
 def write_frame(frame: Frame, path: Path, session: SessionFolder) -> None:
-    """Write a frame as a photograph of a session, PNG, so that all of its photographs are decoded alike.
-
-    The first one decides: 8 bits of sRGB stay so; of all others the session states the levels, where nobody gave them.
-    """
+    """Write a frame as a PNG of a session, which states the levels of frames that are no 8-bit sRGB."""
     encoding, facts = frame.encoding, session.facts
     if facts.white_level is None and not session.shots and encoding.curve != "srgb":
         session.use_levels(*_levels(encoding))
@@ -220,21 +215,15 @@ class CameraAnswers:
 
     async def sources(self, request: Any) -> Any:
         """List them."""
-        from starlette.responses import JSONResponse
-
-        return JSONResponse([{"name": feed.name, "live": feed.live} for feed in self.feeds])
+        return [{"name": feed.name, "live": feed.live} for feed in self.feeds]
 
     async def picture(self, request: Any) -> Any:
         """Return the newest picture of a live camera, the next one of another."""
-        from starlette.responses import Response
-
         feed = self.feed(request.path_params["number"])
         content = await asyncio.to_thread(lambda: preview_jpeg(feed.next_frame()))
-        return Response(content, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
+        return File(content, "image/jpeg")
 
     async def release(self, request: Any) -> Any:
         """Release a camera for other programs."""
-        from starlette.responses import JSONResponse
-
         await asyncio.to_thread(self.feed(request.path_params["number"]).close)
-        return JSONResponse({})
+        return {}

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from chromaperture.app.gate import new_token
-from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import InputError, needed
 from chromaperture.system.storage import staged
 
 _DAYS = 397  # the longest that Safari accepts, https://support.apple.com/en-us/102028
@@ -45,10 +45,7 @@ def state_folder() -> Path:
 
 
 def kept_token(folder: Path, *, anew: bool = False) -> str:
-    """Return the token of this user's app: an installed app opens the address that it was installed from.
-
-    ``anew`` draws another one, which closes the app to everyone who has the old address.
-    """
+    """Return the token of this user's app, or draw another one, which closes the app to the old address."""
     path = folder / "serve.token"
     if not anew and path.is_file():
         token = path.read_text(encoding="ascii", errors="replace").strip()
@@ -61,12 +58,8 @@ def kept_token(folder: Path, *, anew: bool = False) -> str:
 
 
 def kept_certificate(folder: Path, names: list[str]) -> Certificate:
-    """Return this machine's certificate for host names and addresses that the app is opened by.
-
-    It is made where there is none, it ends soon, or an address is not in it. Raises InputError where the folder cannot
-    be written, MissingDependencyError without the extra.
-    """
-    x509 = _x509()
+    """Return this machine's certificate for names and addresses, made where it lacks one or ends soon."""
+    x509 = needed("cryptography.x509", NEEDS_EXTRA)
     paths = folder / "serve.crt", folder / "serve.key"
     if all(path.is_file() for path in paths):
         try:
@@ -105,21 +98,9 @@ def qr_code(address: str) -> str:
     """Draw an address as a QR code in characters for a terminal; raises MissingDependencyError."""
     import io
 
-    try:
-        import segno
-    except ImportError:
-        raise MissingDependencyError(NEEDS_EXTRA) from None
     out = io.StringIO()
-    segno.make(address, error="m").terminal(out=out, compact=True)
+    needed("segno", NEEDS_EXTRA).make(address, error="m").terminal(out=out, compact=True)
     return out.getvalue()
-
-
-def _x509() -> Any:
-    try:
-        from cryptography import x509
-    except ImportError:
-        raise MissingDependencyError(NEEDS_EXTRA) from None
-    return x509
 
 
 def _make(names: list[str]) -> tuple[Any, Any]:
@@ -128,7 +109,7 @@ def _make(names: list[str]) -> tuple[Any, Any]:
     from cryptography.hazmat.primitives.asymmetric import ec
     from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-    x509, key = _x509(), ec.generate_private_key(ec.SECP256R1())
+    x509, key = needed("cryptography.x509", NEEDS_EXTRA), ec.generate_private_key(ec.SECP256R1())
     subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "chromaperture app on this computer")])
     now = datetime.datetime.now(datetime.UTC)
     usage = {
@@ -161,7 +142,7 @@ def _general(x509: Any, name: str) -> Any:
 
 def _serves(certificate: Any, names: list[str]) -> bool:
     """Whether a certificate holds all names and does not end soon."""
-    x509 = _x509()
+    x509 = needed("cryptography.x509", NEEDS_EXTRA)
     try:
         found = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
     except x509.ExtensionNotFound:

@@ -11,8 +11,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from chromaperture.app.messages import Packing
-from chromaperture.app.notes import heard
+from chromaperture.app.messages import Packing, heard
 from chromaperture.camera.alignment import channel_shifts
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.capture.checks import all_black
@@ -45,11 +44,7 @@ _MEAN_ALL, _USABLE, _VARIANCE = 3, 4, 8
 
 
 def make_plan(camera: CodedApertureCamera, exchange: str, facts: dict[str, Any]) -> bytes:
-    """Return the plan for frames of a camera's size at quality real-time; raises InputError where it cannot measure so.
-
-    It is the length of a deflated JSON text (four bytes, little-endian), the text with ``facts``, and the arrays that
-    it refers to; for ``exchange`` see `PlannedChain`.
-    """
+    """Return the plan: the length of a deflated JSON text (uint32, little-endian), the text, and its arrays."""
     if exchange not in get_args(Exchange):
         raise InputError(f"unknown exchange {exchange!r}: choose {', '.join(get_args(Exchange))}")
     method = camera.method

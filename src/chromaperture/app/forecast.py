@@ -1,9 +1,4 @@
-"""Foretell the error bar of a calibration before it is made, and where one more board gains most.
-
-The curve is d = A - B / (distance - delta), as `calibration/fit_fields.py` fits it. Its covariance does not depend on
-what is measured, only on where the boards stand and how well each is known: the normal equations of boards that are
-planned are those of boards that were measured.
-"""
+"""Foretell a calibration's error bar, and where one more board gains most, from where the boards stand alone."""
 
 from __future__ import annotations
 
@@ -71,11 +66,7 @@ class Gain:
 
 
 def forecast(lens: Lens, boards_mm: Sequence[float], tilts: int, *, pixel_sigma_px: float = 0.0) -> Forecast:
-    """Foretell the error bar over the range from the boards' distances to the sensor plane so far.
-
-    Four tilted boards give every board a pose, and with it the pupil's place. ``pixel_sigma_px`` is the scatter of
-    single pixels on the boards, where that is more than the bound.
-    """
+    """Foretell the error bar over the range from the boards' distances to the sensor plane so far."""
     distance = np.linspace(lens.near_mm, lens.far_mm, _DISTANCES)
     z = distance - float(lens.model.sensor_to_pupil_mm)
     slope = float(lens.model.scale_px_mm) / z**2

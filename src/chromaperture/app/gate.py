@@ -68,10 +68,7 @@ class Access:
     command: str = "live"  # that printed the address
 
     def is_own_host(self, name: str) -> bool:
-        """Find whether a request may call the server by this name.
-
-        A foreign page whose name was made to lead here ("DNS rebinding") has no address and not this machine's name.
-        """
+        """Find whether a request may call the server by this name, which DNS rebinding cannot make ours."""
         if name in _LOOPBACK_NAMES or name == self.host.lower():
             return True
         if not is_every_address(self.host):
@@ -82,11 +79,7 @@ class Access:
     def refusal(
         self, path: str, hosts: list[str], origins: list[str], *, sites: list[str] | None = None, mode: str = ""
     ) -> str | None:
-        """Return why a request is refused, None when it is not.
-
-        ``path`` is as requested, with the token; the others are values of the headers Host, Origin, Sec-Fetch-Site and
-        Sec-Fetch-Mode, which programs other than browsers need not send.
-        """
+        """Return why a request to a path, with the token, is refused by its headers, None when it is not."""
         if len(hosts) != 1 or not self.is_own_host(_host_name(hosts[0])):
             return "this server does not go by that name"
         if len(origins) > 1 or any(_origin_host(origin) != hosts[0].lower() for origin in origins):

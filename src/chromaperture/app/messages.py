@@ -1,23 +1,58 @@
-"""Bytes for the page: a measured frame, and arrays as few bytes, without loss; `frame.js` and `plan.js` read them."""
+"""What the page sends, and bytes for it: a measured frame, and arrays as few bytes, without loss."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import struct
+import threading
+import warnings
 import zlib
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.preview import depth_scale, error_scale, exposed, fitted_size, reduced
+from chromaperture.system.errors import CaptureWarning, InputError
 
 MOST_COUNT = 65535  # of a map: 0 is unknown, so the steps of 8 m are 0.12 mm
 LARGEST_PX = (1600, 1600)  # of the maps in a page; the files that are saved have every pixel
 _JPEG_QUALITY = 90  # of the colour picture, for the eye only; chosen by hand
 _PACKED_FROM = 1024  # numbers: shorter arrays are text
 _LEVEL = 6  # of deflate; 9 takes three times as long and gains 2 % on the fields of a camera
+
+
+class File(NamedTuple):
+    """An answer that is no plain value."""
+
+    content: bytes
+    kind: str | None = "application/octet-stream"
+    headers: dict[str, str] | None = None
+    status: int = 200
+
+
+def saved(content: bytes, name: str, kind: str = "application/octet-stream") -> File:
+    """Return a file that a browser saves by its name."""
+    return File(content, kind, {"Content-Disposition": f'attachment; filename="{name}"'})
+
+
+def whole(asked: Any, name: str) -> int:
+    """Read a positive whole number of a request; raises InputError."""
+    text = asked.get(name, "")
+    if not (text.isascii() and text.isdigit() and len(text) < 8):
+        raise InputError(f"{name} must be a whole number")
+    return int(text)
+
+
+def number(asked: Any, name: str) -> float:
+    """Read a number of a request; raises InputError."""
+    try:
+        return float(asked.get(name, ""))
+    except ValueError:
+        raise InputError(f"{name} must be a number") from None
 
 
 def pack_frame(
@@ -61,10 +96,7 @@ def pack_frame(
 
 
 def to_counts(values: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Divide a map into counts from 1 to `MOST_COUNT`, (h, w) uint16; 0 where it is unknown.
-
-    Returned with them are first and step: the value of a count c is first + c * step.
-    """
+    """Divide a map into counts, (h, w) uint16, 0 unknown; returns first and step too: value = first + c * step."""
     known = np.isfinite(values)
     if not known.any():
         return np.zeros(values.shape, np.uint16), 0.0, 1.0
@@ -77,24 +109,12 @@ def to_counts(values: np.ndarray) -> tuple[np.ndarray, float, float]:
 
 
 def pack_array(values: np.ndarray) -> bytes:
-    """Return an array of 32-bit numbers, deflated: second differences of neighbours, byte plane after byte plane.
-
-    Of a smooth map the bits of neighbours, taken for whole numbers, grow almost evenly, so that their second
-    differences are small and three of four bytes are nearly always 0. ``plan.js`` has the inverse.
-    """
+    """Return 32-bit numbers deflated: second differences, byte plane after byte plane; ``plan.js`` has the inverse."""
     bits = np.ascontiguousarray(values).ravel().view(np.uint32)
     twice = np.diff(np.diff(bits, prepend=np.uint32(0)), prepend=np.uint32(0)).view(np.int32)  # they wrap around
     folded = ((twice << 1) ^ (twice >> 31)).view(np.uint32)  # small numbers of either sign become small numbers
     planes = folded.astype("<u4").view(np.uint8).reshape(-1, 4).T
     return zlib.compress(planes.tobytes(), _LEVEL)
-
-
-def unpack_array(data: bytes, dtype: type = np.float32) -> np.ndarray:
-    """Return what `pack_array` packed, flat."""
-    planes = np.frombuffer(zlib.decompress(data), np.uint8).reshape(4, -1)
-    folded = np.ascontiguousarray(planes.T).view("<u4").ravel().astype(np.uint32)
-    twice = (folded >> np.uint32(1)) ^ (np.uint32(0) - (folded & np.uint32(1)))
-    return np.cumsum(np.cumsum(twice, dtype=np.uint32), dtype=np.uint32).view(dtype)
 
 
 class Packing:
@@ -117,3 +137,15 @@ class Packing:
         """Return the text and the arrays as one message."""
         packed = zlib.compress(json.dumps(text, allow_nan=False).encode())
         return struct.pack("<I", len(packed)) + packed + b"".join(self.parts)
+
+
+# Python's list of filters is one for all threads, and two that record at once would restore each other's.
+_ONE_AT_A_TIME = threading.RLock()
+
+
+@contextlib.contextmanager
+def heard() -> Iterator[Callable[[], list[str]]]:
+    """Collect the sentences of warnings about captures; what is yielded returns them."""
+    with _ONE_AT_A_TIME, warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        yield lambda: list(dict.fromkeys(str(w.message) for w in found if issubclass(w.category, CaptureWarning)))

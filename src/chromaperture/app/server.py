@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import tempfile
 import time
 from collections.abc import Awaitable, Callable, Sequence
 from functools import cache, partial
@@ -17,10 +16,9 @@ import cv2
 from chromaperture.app.assistant_answers import AssistantAnswers
 from chromaperture.app.camera_feed import CameraAnswers, CameraFeed
 from chromaperture.app.device_plan import color_tables
-from chromaperture.app.free_space import require_space
-from chromaperture.app.gate import Access, Gate, Refused, save_body
+from chromaperture.app.gate import Access, Gate, Refused
 from chromaperture.app.listening import require_extra
-from chromaperture.app.messages import pack_frame
+from chromaperture.app.messages import File, number, pack_frame, saved, whole
 from chromaperture.app.workbench import DEPTH_INSIDE, Workbench
 from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.optics.aperture import DESIGNS
@@ -68,16 +66,14 @@ def static_files() -> dict[str, tuple[bytes, str]]:
     }
 
 
-def page_file(name: str, *, live: bool = False) -> Any:
+def page_file(name: str, *, live: bool = False) -> File:
     """Return a file of the page; of a live loop the page says so."""
-    from starlette.responses import PlainTextResponse, Response
-
     if name not in static_files():
-        return PlainTextResponse("there is no such page\n", status_code=404)
+        return File(b"there is no such page\n", "text/plain", status=404)
     content, kind = static_files()[name]
     if live and name == "index.html":
         content = content.replace(b"<html ", b"<html data-live ", 1)
-    return Response(content, media_type=kind, headers={"Cache-Control": "no-cache"})
+    return File(content, kind, {"Cache-Control": "no-cache"})
 
 
 async def page(request: Any) -> Any:
@@ -87,9 +83,7 @@ async def page(request: Any) -> Any:
 
 async def colors(request: Any) -> Any:
     """Return the 257 colours of each map, the last for unknown pixels, so that every picture has the same."""
-    from starlette.responses import JSONResponse
-
-    return JSONResponse({n: t.tolist() for n, t in zip(("depth", "sigma"), color_tables(), strict=True)})
+    return {n: t.tolist() for n, t in zip(("depth", "sigma"), color_tables(), strict=True)}
 
 
 class Answers:
@@ -102,56 +96,43 @@ class Answers:
 
     async def about(self, request: Any) -> Any:
         """Return what the page needs to know at its start."""
-        from starlette.responses import JSONResponse
-
         cameras = await self.desk.run(self.workbench.describe_cameras)
-        return JSONResponse({
+        return {
             "version": version("chromaperture"),
             "cameras": cameras,
             "designs": {name: design.title for name, design in DESIGNS.items() if design.views},
             "folder": str(self.workbench.folder),
             "certificate": self.certificate is not None,
-        })  # fmt: skip
+        }  # fmt: skip
 
     async def add_camera(self, request: Any) -> Any:
         """Keep a camera file."""
-        from starlette.responses import JSONResponse
-
-        async with _Upload(request, self.workbench, ".asdf") as path:
+        async with self.workbench.upload(request, ".asdf") as path:
             kept = partial(self.workbench.add_camera, request.query_params.get("name", "camera"), path)
-            return JSONResponse({"name": await self.desk.run(kept)})
+            return {"name": await self.desk.run(kept)}
 
     async def camera(self, request: Any) -> Any:
         """Return a camera file."""
-        from starlette.responses import Response
-
         path = self.workbench.camera_path(request.path_params["name"])
-        headers = {"Content-Disposition": f'attachment; filename="{path.stem}.asdf"'}
-        return Response(path.read_bytes(), media_type="application/octet-stream", headers=headers)
+        return saved(path.read_bytes(), f"{path.stem}.asdf")
 
     async def plan(self, request: Any) -> Any:
         """Return the plan by which the page measures on its own device."""
-        from starlette.responses import Response
-
         asked = request.query_params
         size = (whole(asked, "width"), whole(asked, "height"))
         exchange = asked.get("exchange", "shared")
         packed = await self.desk.run(partial(self.workbench.plan, request.path_params["name"], size, exchange))
-        return Response(packed, media_type="application/octet-stream")
+        return packed
 
     async def points(self, request: Any) -> Any:
         """Return what makes points of the maps of a camera."""
-        from starlette.responses import Response
-
         asked = request.query_params
         size, quality = (whole(asked, "width"), whole(asked, "height")), asked.get("quality", "real-time")
         packed = await self.desk.run(partial(self.workbench.points, request.path_params["name"], size, quality))
-        return Response(packed, media_type="application/octet-stream")
+        return packed
 
     async def frame(self, request: Any) -> Any:
         """Measure one frame of the page's camera."""
-        from starlette.responses import Response
-
         self._free()
         asked = request.query_params
         size = (whole(asked, "width"), whole(asked, "height"))
@@ -164,15 +145,13 @@ class Answers:
             )
             return pack_frame(frame, {"seconds": time.perf_counter() - began, "notes": notes})
 
-        return Response(await self.desk.run(work), media_type="application/octet-stream")
+        return await self.desk.run(work)
 
     async def photo(self, request: Any) -> Any:
         """Measure a photograph's file."""
-        from starlette.responses import Response
-
         self._free()
         asked = request.query_params
-        async with _Upload(request, self.workbench, asked.get("name", "photo.png")) as path:
+        async with self.workbench.upload(request, asked.get("name", "photo.png")) as path:
 
             def work() -> bytes:
                 began = time.perf_counter()
@@ -185,7 +164,7 @@ class Answers:
                 }  # fmt: skip
                 return pack_frame(photo.measured.frame, facts)
 
-            return Response(await self.desk.run(work), media_type="application/octet-stream")
+            return await self.desk.run(work)
 
     def _free(self) -> None:
         """Refuse to measure beside a calibration: it uses all cores for minutes."""
@@ -194,8 +173,6 @@ class Answers:
 
     async def refocus(self, request: Any) -> Any:
         """Return a photograph with another focus and f-number."""
-        from starlette.responses import Response
-
         asked = request.query_params
         at = (number(asked, "x"), number(asked, "y")) if "x" in asked else None
 
@@ -207,98 +184,42 @@ class Answers:
             )  # fmt: skip
             return bytes(cv2.imencode(".png", picture[..., ::-1])[1])
 
-        return Response(await self.desk.run(work), media_type="image/png")
+        return File(await self.desk.run(work), "image/png")
 
     async def photo_files(self, request: Any) -> Any:
         """Return the files of a photograph."""
-        from starlette.responses import Response
-
         key = request.path_params["photo"]
         packed = await self.desk.run(partial(self.workbench.photo_files, key))
-        name = self.workbench.photo(key).measured.path.stem
-        headers = {"Content-Disposition": f'attachment; filename="{name}.zip"'}
-        return Response(packed, media_type="application/zip", headers=headers)
+        return saved(packed, f"{self.workbench.photo(key).measured.path.stem}.zip", "application/zip")
 
     async def embedded(self, request: Any) -> Any:
         """Return a photograph with its depth inside."""
-        from starlette.responses import Response
-
         key = request.path_params["photo"]
         output = request.query_params.get("format", DEPTH_INSIDE[0])
         content = await self.desk.run(partial(self.workbench.with_depth_inside, key, output))
         name = self.workbench.photo(key).measured.path.stem + OUTPUTS[output].suffix
-        headers = {"Content-Disposition": f'attachment; filename="{name}"'}
-        return Response(content, media_type="image/jpeg", headers=headers)
+        return saved(content, name, "image/jpeg")
 
     async def trust(self, request: Any) -> Any:
         """Return the certificate, which a phone is told to trust."""
-        from starlette.responses import PlainTextResponse, Response
-
         if self.certificate is None:
-            return PlainTextResponse("this server needs no certificate\n", status_code=404)
-        headers = {"Content-Disposition": 'attachment; filename="chromaperture.crt"'}
-        return Response(self.certificate.read_bytes(), media_type="application/x-x509-ca-cert", headers=headers)
-
-
-class _Upload:
-    """The body of a request in a private file, which goes afterwards; only its place, where nothing is sent."""
-
-    def __init__(self, request: Any, workbench: Workbench, name: str, *, is_sent: bool = True) -> None:
-        self.request, self.workbench, self.is_sent = request, workbench, is_sent
-        self.name = safe_name(name)
-
-    async def __aenter__(self) -> Path:
-        declared = int(self.request.headers.get("content-length", "0"))
-        require_space(self.workbench.folder, declared, self.workbench.reserve_bytes)
-        self._folder = tempfile.TemporaryDirectory(dir=self.workbench.folder, prefix=".upload-")
-        path = Path(self._folder.name) / self.name
-        try:
-            if self.is_sent:
-                await save_body(self.request, path)
-        except BaseException:
-            self._folder.cleanup()
-            raise
-        return path
-
-    async def __aexit__(self, *error: object) -> None:
-        self._folder.cleanup()
-
-
-Upload = _Upload
-
-
-def safe_name(name: str) -> str:
-    """Return a file's name without anything that leads to another folder; at most 100 characters."""
-    last = name.replace("\\", "/").rsplit("/", 1)[-1]
-    plain = "".join(c if c.isalnum() or c in "._-" else "_" for c in last).lstrip(".")
-    stem, dot, suffix = plain.rpartition(".")
-    return f"{(stem if dot else plain)[:90] or 'photo'}{f'.{suffix[:8]}' if dot else ''}"
-
-
-def whole(asked: Any, name: str) -> int:
-    """Read a positive whole number of a request; raises InputError."""
-    text = asked.get(name, "")
-    if not (text.isascii() and text.isdigit() and len(text) < 8):
-        raise InputError(f"{name} must be a whole number")
-    return int(text)
-
-
-def number(asked: Any, name: str) -> float:
-    """Read a number of a request; raises InputError."""
-    try:
-        return float(asked.get(name, ""))
-    except ValueError:
-        raise InputError(f"{name} must be a number") from None
+            return File(b"this server needs no certificate\n", "text/plain", status=404)
+        return saved(self.certificate.read_bytes(), "chromaperture.crt", "application/x-x509-ca-cert")
 
 
 def said(answer: Callable[[Any], Awaitable[Any]]) -> Callable[[Any], Awaitable[Any]]:
-    """Turn what is raised on purpose into a sentence for the page."""
+    """Make an answer of bytes, a `File`, or plain values as JSON, and a sentence of what is raised on purpose."""
 
     async def with_sentence(request: Any) -> Any:
-        from starlette.responses import JSONResponse
+        from starlette.responses import JSONResponse, Response
 
         try:
-            return await answer(request)
+            given = await answer(request)
+            if isinstance(given, bytes):
+                given = File(given)
+            if isinstance(given, File):
+                return Response(given.content, given.status, given.headers, given.kind)
+            return JSONResponse(given)
         except Refused as refused:  # by the size or the time of its body; the rest of it is not read
             more = {"Connection": "close"}
             return JSONResponse({"error": str(refused)}, status_code=int(refused.status), headers=more)
@@ -320,10 +241,7 @@ def said(answer: Callable[[Any], Awaitable[Any]]) -> Callable[[Any], Awaitable[A
 def make_app(
     workbench: Workbench, access: Access, *, certificate: Path | None = None, feeds: Sequence[CameraFeed] = ()
 ) -> Gate:
-    """Put the server's application together, behind its checks; raises MissingDependencyError.
-
-    The certificate is offered to phones; ``feeds`` are the computer's cameras that the assistant may use.
-    """
+    """Put the server's application together, behind its checks; raises MissingDependencyError."""
     require_extra()
     from starlette.applications import Starlette
     from starlette.routing import Route

@@ -122,10 +122,7 @@ class SessionFolder:
     # ---- photographs
 
     def prepare(self, photograph: Path) -> Session:
-        """Write session.toml by the first photograph, whose size and levels all others must have.
-
-        Raises InputError where it cannot be read, or a later one has another size.
-        """
+        """Write session.toml by the first photograph; raises InputError where a later one differs in size."""
         if not is_photograph(photograph):
             raise InputError(f"a file of the kind {photograph.suffix or 'without a name'} is not read; give RAW, PNG, "
                              "TIFF or JPEG")  # fmt: skip

@@ -14,8 +14,9 @@ import secrets
 import tempfile
 import zipfile
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
@@ -24,7 +25,8 @@ import numpy as np
 
 from chromaperture.app.device_plan import MOST_PX, make_plan, make_points
 from chromaperture.app.free_space import RESERVE_BYTES, require_space
-from chromaperture.app.notes import heard
+from chromaperture.app.gate import save_body
+from chromaperture.app.messages import heard
 from chromaperture.app.session_folder import Holding
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
@@ -33,13 +35,13 @@ from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.effects.edge_aware import filter_disparity
 from chromaperture.effects.layered_model import radius_per_disparity
 from chromaperture.effects.refocusing import BACKGROUND_EFFECTS, Focus, apply_background
-from chromaperture.effects.restore import SharpPicture, restore
+from chromaperture.effects.restore import SharpPicture, brightened, radius_at, restore
 from chromaperture.frame.depth_frame import DepthFrame
 from chromaperture.frame.frame_files import OUTPUTS, write_format
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.scale import reduced_size, resized
 from chromaperture.products.measure_file import MeasuredFile, measure_only
-from chromaperture.settings.methods import QUALITIES
+from chromaperture.settings.methods import QUALITIES, Quality
 from chromaperture.system.errors import InputError
 from chromaperture.system.storage import staged
 from chromaperture.system.validation import checked
@@ -51,7 +53,6 @@ DEPTH_INSIDE = ("gdepth", "dynamic-depth")  # outputs that are photographs with 
 _KEPT_PHOTOS = 3  # measured photographs for tap-to-focus; 24 megapixels take 1 GB each
 _KEPT_EYES = 4  # cameras at a quality and a size, with their curves
 _KEPT_PLANS = 4  # of 2.4 MB for 720x480
-_WHITE = 0.95  # of the screen, for the brightest 0.2 % of a refocused picture; as `chromaperture refocus`
 
 
 @dataclass
@@ -80,10 +81,20 @@ class Workbench:
         for name in ("cameras", "sessions", "photos"):
             with staged(folder / name):
                 pass
-        self._eyes: OrderedDict[tuple[Any, ...], CodedApertureCamera] = OrderedDict()
         self._photos: OrderedDict[str, Photo] = OrderedDict()
         self._about: dict[tuple[Path, int], dict[str, Any]] = {}
-        self._plans: OrderedDict[tuple[Any, ...], bytes] = OrderedDict()
+        self._open = lru_cache(_KEPT_EYES)(_open)
+        self._made_plan = lru_cache(_KEPT_PLANS)(self._make_plan)
+
+    @contextlib.asynccontextmanager
+    async def upload(self, request: Any, name: str, *, is_sent: bool = True) -> AsyncIterator[Path]:
+        """Keep the body of a request in a private file, which goes afterwards; only its place, where none is sent."""
+        require_space(self.folder, int(request.headers.get("content-length", "0")), self.reserve_bytes)
+        with tempfile.TemporaryDirectory(dir=self.folder, prefix=".upload-") as private:
+            path = Path(private) / safe_name(name)
+            if is_sent:
+                await save_body(request, path)
+            yield path
 
     # ---- cameras
 
@@ -101,10 +112,7 @@ class Workbench:
             raise InputError("there is no camera of that name; choose one of the list") from None
 
     def add_camera(self, name: str, source: Path) -> str:
-        """Keep a camera file that the page sent; returns its name.
-
-        Raises InputError where it is no camera file, there are too many, or another camera has the name.
-        """
+        """Keep a camera file of the page; returns its name, which no other camera may have."""
         stem = re.sub(r"[^A-Za-z0-9_-]+", "-", Path(name).stem).strip("-_")[:60] or "camera"
         data = source.read_bytes()
         if len(data) > _MOST_CAMERA_BYTES:
@@ -136,37 +144,26 @@ class Workbench:
         if quality not in QUALITIES:
             raise InputError(f"unknown quality {quality!r}: choose {', '.join(QUALITIES)}")
         path = self.camera_path(name)
-        key = (path, path.stat().st_mtime_ns, quality)
-        if key not in self._eyes:
-            calibration = Calibration.load(path)
-            self._eyes[key] = CodedApertureCamera(calibration, default_config(calibration, quality))
-            while len(self._eyes) > _KEPT_EYES:
-                self._eyes.popitem(last=False)
-        self._eyes.move_to_end(key)
-        return self._eyes[key]
+        return self._open(path, path.stat().st_mtime_ns, quality)
 
     def plan(self, name: str, size_px: tuple[int, int], exchange: str) -> bytes:
         """Return the plan by which a browser measures frames of a size, see `make_plan`; raises InputError."""
         path = self.camera_path(name)
-        key = (path, path.stat().st_mtime_ns, size_px, exchange)
-        if key not in self._plans:
-            if min(size_px) < 1 or math.prod(size_px) > MOST_PX:
-                raise InputError("a browser measures frames of up to 4 megapixels; the computer measures this one")
-            eye = self.eye(name, "real-time")
-            sensor = eye.calibration.sensor
-            frame_px = sensor.width_px, sensor.height_px
-            if size_px != frame_px and not eye.calibration.is_calibrated:
-                raise InputError("a camera that was never calibrated measures frames of its own size only")
-            is_other = size_px != reduced_size(frame_px, round(frame_px[0] / size_px[0]) or 1)
-            said = [eye.scaled_note(size_px)] if is_other else []
-            about = {"name": name, **_described(path)}
-            facts = {"camera": about, "version": version("chromaperture"), "notes": said}
-            packed = make_plan(eye.at_size(*size_px), exchange, facts)
-            self._plans[key] = packed
-            while len(self._plans) > _KEPT_PLANS:
-                self._plans.popitem(last=False)
-        self._plans.move_to_end(key)
-        return self._plans[key]
+        return self._made_plan(name, path, path.stat().st_mtime_ns, size_px, exchange)
+
+    def _make_plan(self, name: str, path: Path, changed_ns: int, size_px: tuple[int, int], exchange: str) -> bytes:
+        if min(size_px) < 1 or math.prod(size_px) > MOST_PX:
+            raise InputError("a browser measures frames of up to 4 megapixels; the computer measures this one")
+        eye = self.eye(name, "real-time")
+        sensor = eye.calibration.sensor
+        frame_px = sensor.width_px, sensor.height_px
+        if size_px != frame_px and not eye.calibration.is_calibrated:
+            raise InputError("a camera that was never calibrated measures frames of its own size only")
+        is_other = size_px != reduced_size(frame_px, round(frame_px[0] / size_px[0]) or 1)
+        said = [eye.scaled_note(size_px)] if is_other else []
+        about = {"name": name, **_described(path)}
+        facts = {"camera": about, "version": version("chromaperture"), "notes": said}
+        return make_plan(eye.at_size(*size_px), exchange, facts)
 
     def points(self, name: str, size_px: tuple[int, int], quality: str) -> bytes:
         """Return what makes points of maps of a size, see `make_points`; raises InputError."""
@@ -180,10 +177,7 @@ class Workbench:
     def measure_pixels(
         self, data: bytes, size_px: tuple[int, int], *, camera: str, quality: str
     ) -> tuple[DepthFrame, list[str]]:
-        """Measure one frame of the page's camera; returns it and sentences about it; raises InputError.
-
-        ``data`` is R, G, B of 8 bits, row by row, as a browser decodes a video; taken for sRGB.
-        """
+        """Measure R, G, B bytes of a browser's video, taken for sRGB; returns the frame and sentences about it."""
         width, height = size_px
         if min(size_px) < 1 or len(data) != 3 * width * height:
             raise InputError("a frame is not as large as it says; reload the page")
@@ -194,15 +188,12 @@ class Workbench:
             frame = eye.measure(linearise(Decoded(counts), camera_encoding=encoding))
         return frame, notes()
 
-    def measure_photo(
-        self, path: Path, *, camera: str, quality: str, stage: Callable[[str], None] = lambda name: None
-    ) -> tuple[str, Photo]:
+    def measure_photo(self, path: Path, *, camera: str, quality: str) -> tuple[str, Photo]:
         """Measure a photograph's file and keep the result for a while; returns its key; raises InputError."""
         eye = self.eye(camera, quality)
         with heard() as notes:
-            measured = measure_only(path, eye, out=self.folder / "photos", listener=stage)
-        height, width = measured.frame.disparity_px.shape
-        photo = Photo(measured, eye.at_size(width, height), notes(), path.read_bytes())
+            measured = measure_only(path, eye, out=self.folder / "photos")
+        photo = Photo(measured, eye.at_size(*measured.frame.disparity_px.shape[::-1]), notes(), path.read_bytes())
         key = secrets.token_urlsafe(9)
         self._photos[key] = photo
         while len(self._photos) > _KEPT_PHOTOS:
@@ -238,19 +229,14 @@ class Workbench:
                 frame.image, frame.disparity_px, photo.camera, sigma_px=frame.disparity_sigma_px,
                 sharpness=cast(Any, sharpness),
             )  # fmt: skip
-            gain = float(_WHITE / max(np.percentile(sharp.color, 99.8), 1e-6))
-            photo.sharp = {sharpness: SharpPicture(sharp.color * gain, sharp.radius_px)}
+            photo.sharp = {sharpness: brightened(sharp)}
         picture = photo.sharp[sharpness]
         strength = 1.0 if f_number is None or not own else own / f_number
-        focus = Focus(_radius_at(picture.radius_px, at), strength)
+        focus = Focus(_radius_at(picture, at), strength)
         return linear_to_srgb_bytes(apply_background(picture.color, picture.radius_px, focus, background))
 
     def with_depth_inside(self, key: str, output: str = DEPTH_INSIDE[0]) -> bytes:
-        """Return a photograph with its depth inside, as ``chromaperture depth --write gdepth`` writes it.
-
-        Raises InputError where it is no longer kept, no pixel's depth is known well enough, or the format is another
-        one.
-        """
+        """Return a photograph with its depth inside, as ``chromaperture depth --write gdepth`` writes it."""
         photo = self.photo(key)
         if output not in DEPTH_INSIDE:
             raise InputError(f"a photograph with depth inside is {' or '.join(DEPTH_INSIDE)}, not {output!r}")
@@ -260,10 +246,7 @@ class Workbench:
             return path.read_bytes()
 
     def photo_files(self, key: str) -> bytes:
-        """Return a photograph and its files, as ``chromaperture depth`` writes them, in one ZIP archive.
-
-        Photographs with depth inside are among them, where a pixel's depth is known well enough for that.
-        """
+        """Return a photograph and its files, as ``chromaperture depth`` writes them, in one ZIP archive."""
         photo = self.photo(key)
         require_space(self.folder, 100 * photo.measured.frame.disparity_px.size, self.reserve_bytes)
         packed = io.BytesIO()
@@ -280,6 +263,20 @@ class Workbench:
                         archive.writestr(photo.measured.path.stem + OUTPUTS[output].suffix, content)
                 archive.writestr(photo.measured.path.name, photo.original)
         return packed.getvalue()
+
+
+def safe_name(name: str) -> str:
+    """Return a file's name without anything that leads to another folder; at most 100 characters."""
+    last = name.replace("\\", "/").rsplit("/", 1)[-1]
+    plain = "".join(c if c.isalnum() or c in "._-" else "_" for c in last).lstrip(".")
+    stem, dot, suffix = plain.rpartition(".")
+    return f"{(stem if dot else plain)[:90] or 'photo'}{f'.{suffix[:8]}' if dot else ''}"
+
+
+def _open(path: Path, changed_ns: int, quality: Quality) -> CodedApertureCamera:
+    """Open a camera file as it is since a time, at a quality."""
+    calibration = Calibration.load(path)
+    return CodedApertureCamera(calibration, default_config(calibration, quality))
 
 
 def _described(path: Path) -> dict[str, Any]:
@@ -319,12 +316,11 @@ def _at_once(photo: Photo) -> SharpPicture:
     return SharpPicture(frame.color, disparity * per_disparity)
 
 
-def _radius_at(radius_px: np.ndarray, at: tuple[float, float] | None) -> float:
+def _radius_at(picture: SharpPicture, at: tuple[float, float] | None) -> float:
     """Return the capture's blur radius at a place of the picture: of the window that `refocus --point` takes."""
     if at is None:
         return 0.0
     if not all(math.isfinite(v) and 0 <= v <= 1 for v in at):
         raise InputError("the place to focus on lies outside the picture")
-    height, width = radius_px.shape
-    x, y = (min(int(v * n), n - 1) for v, n in zip(at, (width, height), strict=True))
-    return float(np.median(radius_px[max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4]))
+    x, y = (min(int(v * n), n - 1) for v, n in zip(at, picture.radius_px.shape[::-1], strict=True))
+    return radius_at(picture, x, y)

@@ -54,11 +54,7 @@ class ChannelAlignment:
         return Alignment(np.asarray(self.shifts, float), white.max() / white, round(self.config.scale), self.lens_moves)
 
     def align(self, image: np.ndarray, disparity_px: np.ndarray) -> np.ndarray:
-        """Align the channels and white balance them.
-
-        ``image`` (H, W, 3) float32, linear RGB; ``disparity_px`` (H, W) float32, px; NaN unknown. Returns (H, W, 3)
-        float32, linear RGB.
-        """
+        """Align the channels of linear RGB (H, W, 3) by a disparity, NaN unknown, and white balance them."""
         color = np.empty(image.shape, np.float32)
         self.align_bands(image, disparity_px, color.__setitem__)
         return color
@@ -71,11 +67,7 @@ class ChannelAlignment:
         *,
         multiple: int = 1,
     ) -> None:
-        """Align the channels in bands of rows, see `align`: displacements take 24 bytes a pixel.
-
-        ``take`` gets the rows of every band and its colours, on any thread, in any order; every band begins at a
-        multiple of ``multiple`` rows.
-        """
+        """As `align`, in bands from multiples of ``multiple`` rows, which ``take`` gets on any thread in any order."""
         along = None if self.uses_blur else row_moves(self.shifts)
         if along is not None and image.shape[:2] == disparity_px.shape:
             gains = white_gains(self.calibration.film.aperture)
@@ -118,11 +110,7 @@ class ChannelAlignment:
         return _lens_shift(self.calibration)
 
     def blur_radius_px(self, disparity_px: np.ndarray) -> np.ndarray | None:
-        """Return the blur radius on the axis at the distance of every pixel, see `LensShift`.
-
-        ``disparity_px`` (H, W) float, px: as this camera measures it. Returns (H, W) float32, px; None where the blur
-        is not known.
-        """
+        """Return the blur radius on the axis at the distance of every pixel, float32; None where not known."""
         if self.lens_shift is None or self.depth_model is None:
             return None
         layer = np.asarray(disparity_px, float)
@@ -136,11 +124,7 @@ class ChannelAlignment:
     def displacement(
         self, disparity_px: np.ndarray, *, first_row: int = 0, height: int | None = None
     ) -> np.ndarray | None:
-        """Return the displacement of the channels where the method uses the lens's blur, (3, 2, H, W) px; else None.
-
-        ``disparity_px`` (H, W) float, px, no NaN; ``first_row``, ``height``: where it is a band of a frame of so many
-        rows, the number of its first row.
-        """
+        """Return the channels' displacement (3, 2, H, W), px, of a frame or a band of it, else None."""
         shift = self._working_shift if self.uses_blur else None
         if shift is None:
             return None

@@ -389,13 +389,7 @@ _MAPS = ("depth_mm", "sigma_mm", "disparity_px", "disparity_sigma_px", "confiden
 def in_whole_frame(
     image: np.ndarray, origin_px: tuple[int, int], size_px: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Put a part of a photograph where it belongs.
-
-    ``image`` (h, w, 3) float32; ``origin_px`` (int, int): column and row of the part's first pixel in the frame;
-    ``size_px`` (int, int): width and height of the frame. Returns ``known`` (H, W, 3) float32: NaN outside of the part;
-    ``continued`` (H, W, 3) float32: the part's border goes on outside of it. Raises InputError: the part does not lie
-    in the frame.
-    """
+    """Put a part (h, w, 3) into the frame: NaN outside of it, and with its border going on outside."""
     (height, width), (left, top) = image.shape[:2], origin_px
     right, below = size_px[0] - left - width, size_px[1] - top - height
     if min(right, below) < 0:

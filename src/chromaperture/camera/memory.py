@@ -26,11 +26,7 @@ _SMALL_BYTES = 1e9  # the system is not asked: for every frame of a video that i
 
 
 def needed_bytes(calibration: Calibration, config: Config, *, scale: float | None = None) -> float:
-    """Estimate the most memory that measuring a photograph and writing its files takes.
-
-    ``calibration``: of the photograph's size; ``scale``: instead of the configuration's: at a coarser one the range
-    holds fewer layers.
-    """
+    """Estimate the most memory that measuring a photograph, at a scale, and writing its files takes."""
     pixels = calibration.sensor.width_px * calibration.sensor.height_px
     matched, entries = _matched(calibration, config, scale or config.scale)
     each, each_layer = _MATCHED_BYTES[config.quality]
@@ -49,20 +45,12 @@ def _matched(calibration: Calibration, config: Config, scale: float) -> tuple[fl
 
 
 def fitting_jobs(calibration: Calibration, config: Config, jobs: int) -> int:
-    """Return how many photographs at a time there is memory for, 1 at least and at most ``jobs``.
-
-    Where there is none for a single one, `check_camera_memory` refuses it.
-    """
+    """Return how many photographs at a time there is memory for, from 1 to ``jobs``."""
     return max(1, min(jobs, int(min(available_bytes() / needed_bytes(calibration, config), jobs))))
 
 
 def check_camera_memory(what: str, calibration: Calibration, config: Config) -> bool:
-    """Check that there is memory for a photograph, at least where its volumes are kept on disk.
-
-    ``what``: the photograph, for messages; ``calibration``: of the photograph's size. Returns whether the volumes are
-    to be kept on disk (`chromaperture.system.memory`). Raises OutOfMemoryError: it would need more than this process
-    may use.
-    """
+    """Return whether volumes are to be kept on disk; raises OutOfMemoryError where not even that will do."""
     needed = needed_bytes(calibration, config)
     if needed < _SMALL_BYTES and needed < limit_bytes():
         return False
@@ -79,10 +67,7 @@ def check_camera_memory(what: str, calibration: Calibration, config: Config) -> 
 
 
 def volumes_go_to_disk(calibration: Calibration, config: Config, *, is_said: bool) -> bool:
-    """As `check_camera_memory` of a photograph that is about to be matched; warns where ``is_said``.
-
-    It is not said where a device holds them, unless it fails and the CPU takes over.
-    """
+    """As `check_camera_memory` just before matching; warns where ``is_said``."""
     on_disk = check_camera_memory("the photograph", calibration, config)
     if on_disk and is_said:
         size = volume_bytes(calibration, config) / 1e9

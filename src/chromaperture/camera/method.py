@@ -24,11 +24,7 @@ from chromaperture.system.errors import CaptureWarning
 def default_config(
     calibration: Calibration, quality: Quality = "real-time", *, scale: float | Literal["auto"] = "auto"
 ) -> Config:
-    """Return the settings for a camera: the quality's preset over the camera's own working range.
-
-    ``quality`` {"paper", "real-time", "accurate"}; ``scale``: match pictures reduced to 1 / scale; ``auto`` is
-    `chromaperture.model.scale.working_scale`, for ``accurate`` `accurate_scale`.
-    """
+    """Return a quality's settings over the camera's range; ``auto`` scale is what its blur allows."""
     if scale == "auto":
         scale = accurate_scale(calibration) if quality == "accurate" else working_scale(calibration)
     calibration = at_scale(calibration, scale)
@@ -105,11 +101,7 @@ def sensor_noise(image: np.ndarray, calibration: Calibration) -> np.ndarray | No
 def scaled_method(
     calibration: Calibration, config: Config, execution: ExecutionName = "numba", device: str = "cpu"
 ) -> Method:
-    """Compose the method that a configuration describes, for photographs of a camera's full size.
-
-    ``config``: at a ``scale`` above 1 the method is that of the camera of reduced pictures; ``execution`` {"numba",
-    "numpy"}; ``device``: as `CodedApertureCamera`.
-    """
+    """Compose a configuration's method for photographs of full size; above scale 1 it is the reduced camera's."""
     working = at_scale(calibration, config.scale)
     method: Method = method_for(
         config.matcher,

@@ -34,12 +34,7 @@ def load_aravis() -> Any:
 
 
 class AravisCamera:
-    """An opened camera, acquiring.
-
-    ``identity`` is a serial number, address or Aravis id; empty for the first one found. Width and height are of a
-    region from the sensor's corner. ``pixel_format`` is GenICam's name; default the best Bayer or RGB format there is,
-    with levels of 0 and its highest count.
-    """
+    """An opened GenICam camera, acquiring; an empty ``identity`` is the first one found, default format the best."""
 
     def __init__(
         self,

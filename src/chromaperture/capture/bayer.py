@@ -13,7 +13,7 @@ from chromaperture.color.encoding import PATTERNS, Encoding, Offsets
 from chromaperture.system.errors import InputError
 
 # A Bayer mosaic's 2 x 2 cells have the same mean colours wherever they are, a Quad-Bayer's photosites within a cell:
-# of the sample capture .0002 and .275 of the mean apart, the other way round for quad. Chosen by hand between.
+# of the sample capture 0.0002 and 0.275 of the mean apart, the other way round for quad. Chosen by hand between.
 _LEAST_OF_CELLS, _TIMES_OF_SITES = 0.02, 3.0
 _BLOCKS = 500  # of 4 x 4 photosites each way, from which the means are taken
 
@@ -21,11 +21,7 @@ _BLOCKS = 500  # of 4 x 4 photosites each way, from which the means are taken
 def superpixels(
     mosaic: np.ndarray, pattern: str, *, black_level: float, white_level: float
 ) -> tuple[np.ndarray, Encoding]:
-    """Make one pixel of every 2 x 2 cell of a mosaic (2H, 2W): R, the mean of both G, B; an odd last row is ignored.
-
-    Returns counts (H, W, 3), uint16 or where that is too small float32: twice the mosaic's, so that the mean of two
-    is an integer. Raises InputError for an unknown pattern, or no mosaic.
-    """
+    """Make a pixel of every 2 x 2 cell, (H, W, 3), counts twice the mosaic's so that both G add up."""
     if pattern not in PATTERNS:
         raise InputError(f"unknown Bayer pattern {pattern!r}: choose {', '.join(PATTERNS)}")
     if mosaic.ndim != 2 or min(mosaic.shape) < 2:

@@ -19,21 +19,18 @@ from chromaperture.system.errors import CaptureWarning, InputError
 _MOST_SATURATED, _MUCH_SATURATED = 0.98, 0.05  # fractions of the pixels: an error, a warning
 _MOST_DARK = 0.99  # fraction of the samples
 # Values beyond are no light and count as unknown: above the white level nothing is told anyway, and noise about black
-# is smaller. An area of 1e30 or -0.5 (1/35 of the sample) changed the means, and so depth by 5 % in .20 and .10 of the
-# pixels far away; unknown, it changes .02 of them.
+# is smaller. An area of 1e30 or -0.5 (1/35 of the sample) changed the means, and so depth by 5 % in 0.20 and 0.10 of
+# the pixels far away; unknown, it changes 0.02 of them.
 _LEAST_LIGHT, _MOST_LIGHT = -0.1, 2.0
 # Colours that a tag's primaries bring so far below zero, of the largest channel, are rare: not even the purest red of
-# Display P3 is one. Of photographs through film by a true tag 0, of one of sRGB numbers tagged BT.2020 .08 of the
+# Display P3 is one. Of photographs through film by a true tag 0, of one of sRGB numbers tagged BT.2020 0.08 of the
 # pixels are such; the limit between is chosen by hand.
 _NEGATIVE, _MOST_NEGATIVE, _SPARSE = -0.05, 0.03, 200  # the last: rows and columns that are looked at
 _SAMPLES = 20_000  # pixels that are checked: standard error of a fraction below 0.4 %
 
 
 def check_capture(image: np.ndarray, width_px: int, height_px: int) -> np.ndarray:
-    """Check a photograph of linear RGB, 1.0 = white level, before it is measured; (H, W, 3) float32, contiguous.
-
-    Raises InputError for a wrong shape, type or size, and where all is black, saturated, grey, or not finite.
-    """
+    """Check a photograph of linear RGB before it is measured; (H, W, 3) float32, contiguous, else InputError."""
     image = checked_image(image)
     if image.shape[:2] != (height_px, width_px):
         raise InputError(other_size(image.shape[1], image.shape[0], (width_px, height_px)))
@@ -65,10 +62,7 @@ def check_capture(image: np.ndarray, width_px: int, height_px: int) -> np.ndarra
 def check_form(
     form: PictureFormat, name: str, provenance: Mapping[str, Any], encoding: Encoding | None, *, is_cropped: bool
 ) -> None:
-    """Raise or warn where a photograph is read otherwise than those that the camera was calibrated on.
-
-    A camera file's provenance without a word on what its photographs were means that they were read at full size.
-    """
+    """Raise or warn where a photograph is read otherwise than those that the camera was calibrated on."""
     if form.mosaic is not None or form.reduction == 1:
         return
     if is_cropped:

@@ -69,11 +69,7 @@ def read_model(path: str | Path) -> str | None:
 
 
 def read_noise_profile(path: str | Path) -> tuple[float, float] | None:
-    """Read the noise of a DNG file's photosites: slope and offset of the variance over light, 1 = white level.
-
-    The tag has a pair for all colours, or one for each, whose means are returned (DNG specification 1.4, NoiseProfile);
-    None where it is absent or makes no sense.
-    """
+    """Read slope and offset of the noise variance over light from a DNG file's NoiseProfile, or None."""
     values = read_tag(path, _NOISE_PROFILE)
     if values is None or np.size(values) < 2 or np.size(values) % 2:
         return None
@@ -103,11 +99,7 @@ def read_tag(path: str | Path, code: int) -> Any:
 
 
 def is_developed(path: str | Path) -> bool | None:
-    """Return whether a colour matrix was applied to a photograph, by its tags; None where they do not tell.
-
-    To RAW files none was; to HEIC files one was, to JPEG files that name their camera, and to files with a colour
-    profile, which camera colours have none of.
-    """
+    """Return whether a colour matrix was applied to a photograph, by its tags; None where they do not tell."""
     if is_raw(Path(path)):
         return False
     try:

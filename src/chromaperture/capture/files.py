@@ -186,10 +186,7 @@ def decode(
     any_scale: bool = False,
     stated: StatedFacts = NOTHING_STATED,
 ) -> Decoded:
-    """Read a photograph's file once; raises InputError like `read_image`, but for levels.
-
-    With ``any_scale`` other sizes of the aspect of ``size_px`` are read, too.
-    """
+    """Read a photograph's file once; with ``any_scale`` also of other sizes of the aspect of ``size_px``."""
     path = Path(path)
     if opens_as_raw(path):
         form = raw_format(path)
@@ -210,10 +207,7 @@ def decode(
 
 
 def read_samples(path: str | Path) -> np.ndarray:
-    """Read a PNG, TIFF, PPM or JPEG file as it is stored, a map, a mask, a picture: (H, W) or (H, W, S), R, G, B.
-
-    Raises InputError where it is missing, damaged or too large.
-    """
+    """Read a PNG, TIFF, PPM or JPEG file as it is stored, a map, a mask, a picture: (H, W) or (H, W, S), R, G, B."""
     path = Path(path)
     data = _read(path)
     with _reported(path):

@@ -11,20 +11,16 @@ from typing import Any
 
 from chromaperture.capture.files import read_counts
 from chromaperture.capture.picture_format import described
-from chromaperture.capture.source import Frame, PictureSource, needed
+from chromaperture.capture.source import Frame, PictureSource
 from chromaperture.capture.threaded_source import not_there
-from chromaperture.system.errors import InputError
+from chromaperture.system.errors import InputError, needed
 
 _HINT = "tethered cameras need gphoto2: pip install 'chromaperture[cameras]'"
 
 
 @dataclass(kw_only=True, eq=False)
 class TetheredCamera(PictureSource):
-    """Take a photograph for each frame; RAW files become half-size superpixels.
-
-    The place is a port as listed by `gphoto2 --auto-detect`; empty for the first camera. ``shutterspeed``, ``iso`` and
-    ``aperture`` are as the camera spells them.
-    """
+    """Take a photograph for each frame; the place is a port of `gphoto2 --auto-detect`, or empty."""
 
     kind = "gphoto2"
 

@@ -11,9 +11,8 @@ import numpy as np
 from chromaperture.capture.native_planes import ENCODED_WHITE, Planes, rgb_of_planes
 from chromaperture.capture.picture_format import LUMA_WEIGHTS, PictureFormat
 from chromaperture.capture.picture_header import brands
-from chromaperture.capture.source import needed
 from chromaperture.color.color_space import UNTAGGED, of_codes, of_icc
-from chromaperture.system.errors import InputError
+from chromaperture.system.errors import InputError, needed
 
 _CHROMA = {420: (2, 2), 422: (2, 1), 444: (1, 1)}
 # Boxes of ISO 23008-12, 6.5.10 and 6.5.12: quarters of a turn, counterclockwise, and a mirror.

@@ -29,11 +29,7 @@ class Planes:
 
 
 def rgb_of_planes(planes: Planes, form: PictureFormat) -> np.ndarray:
-    """Return R', G', B' at the places of the chroma samples; (h, w, 3) float32, from 0 to `ENCODED_WHITE`.
-
-    Still encoded; a little beyond both ends where a codec has rounded. Where chroma is subsampled along one side only,
-    the other is averaged to the same factor.
-    """
+    """Return encoded R', G', B' at the places of the chroma samples; (h, w, 3) float32, to `ENCODED_WHITE`."""
     width, height = form.read_size_px
     across, down = form.chroma_factors
     rest = form.reduction // across, form.reduction // down  # of sides with more chroma samples
@@ -85,11 +81,7 @@ def _halved(luma: np.ndarray, *, is_left: bool) -> np.ndarray:
 
 
 def _taps(subsampled: int, factor: int, siting: Siting, *, along: int) -> dict[int, float]:
-    """Return weights of luma samples by their offset from the first of a cell: the low pass about the chroma sample.
-
-    A mean of the cell where the sample is in its middle, or where this side's chroma has to be averaged too; where it
-    is at the first luma sample, a mean of as many about that one, the outermost two by half.
-    """
+    """Return weights of luma samples by their offset from the first of a cell: the low pass about the chroma sample."""
     cosited = subsampled > 1 and (siting == "top-left" or (siting == "left" and along == 0))
     if not cosited:
         return dict.fromkeys(range(factor), 1 / factor)

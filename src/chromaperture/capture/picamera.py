@@ -1,8 +1,4 @@
-"""Cameras of a Raspberry Pi, through picamera2: the sensor's Bayer mosaic, with exposure and gain locked.
-
-Written after the manual of picamera2 ("The Picamera2 Library", Raspberry Pi Ltd) and answers of its authors, and tested
-with a stand-in of that interface. It has not run on a Raspberry Pi.
-"""
+"""Cameras of a Raspberry Pi through picamera2, exposure and gain locked; tested with a stand-in, not on one."""
 
 from __future__ import annotations
 
@@ -14,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from chromaperture.capture.bayer import PATTERNS, superpixels
-from chromaperture.capture.source import Frame, needed
+from chromaperture.capture.source import Frame
 from chromaperture.capture.threaded_source import DeviceLostError, not_there
-from chromaperture.system.errors import InputError
+from chromaperture.system.errors import InputError, needed
 
 _WAIT_S = 2.0  # for a frame; the longest exposures of a moving camera are far shorter. Chosen by hand
 # Frames after which automatic exposure has settled and controls that were set are in force; the manual's examples
@@ -183,10 +179,7 @@ class PiCamera:
 
 
 def chosen_mode(modes: list[dict[str, Any]], width: int | None, height: int | None) -> dict[str, Any]:
-    """Choose of the modes that fit: the largest field of view, then the most bits, then the fastest.
-
-    Modes are picamera2's ``sensor_modes``; raises InputError where none has the width and height that are given.
-    """
+    """Choose of picamera2's modes that fit the largest field of view, then the most bits, then the fastest."""
     fitting = [m for m in modes if width in (None, m["size"][0]) and height in (None, m["size"][1])]
     if not fitting:
         sizes = ", ".join(f"{m['size'][0]}x{m['size'][1]} ({m['bit_depth']} bit, {m['fps']:.0f}/s)" for m in modes)
@@ -210,10 +203,7 @@ def mosaic_of(data: np.ndarray, size: tuple[int, int], word_bits: int, bits: int
 
 
 def order_of_red_card(mosaic: np.ndarray, *, black_level: float) -> str:
-    """Return the order in which a red card in the middle of the frame is red, such as "BGGR".
-
-    Raises InputError where what is there is not red, too dark or saturated.
-    """
+    """Return the order in which a red card in the middle is red; raises InputError where none is seen."""
     height, width = (n // 4 * 2 for n in mosaic.shape)  # half of each side, in whole cells
     top, left = ((n - m) // 4 * 2 for n, m in zip(mosaic.shape, (height, width), strict=True))
     middle = mosaic[top : top + height, left : left + width].astype(np.float64) - black_level

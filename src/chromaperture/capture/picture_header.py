@@ -59,10 +59,7 @@ def other_kind(data: bytes) -> str | None:
 
 
 def open_picture(data: bytes) -> ImageFile.ImageFile:
-    """Open a PNG, JPEG, PNM, BMP, WebP, AVIF or TIFF file and read its header; raises ValueError for all others.
-
-    Pillow's other formats are not tried, and its limit of 179 megapixels does not apply: `check_size` has ours.
-    """
+    """Open a picture of the formats that we read, whatever its size, and read its header; raises ValueError."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's, of damaged tags
         for marks, at, kind in _KINDS:
@@ -82,10 +79,7 @@ def brands(data: bytes) -> list[bytes]:
 
 
 def check_png_sums(data: bytes) -> None:
-    """Check length and checksum of every chunk of a PNG file, up to its end mark; raises ValueError.
-
-    Pillow's ``verify`` does the same, in 0.45 instead of 0.1 s for 24 megapixels of 16 bit.
-    """
+    """Check length and checksum of every chunk of a PNG file, four times as fast as Pillow's ``verify``."""
     view, at, name = memoryview(data), 8, b""  # 8 bytes of signature
     while name != b"IEND":
         if at + 12 > len(data):

@@ -18,10 +18,9 @@ import tifffile
 from chromaperture.capture.bayer import check_not_quad, quad_message, superpixels
 from chromaperture.capture.picture_format import PictureFormat, mosaic_format
 from chromaperture.capture.picture_header import TIFF_MARKS, check_size
-from chromaperture.capture.source import needed
 from chromaperture.capture.tiff import from_pages
 from chromaperture.color.encoding import PATTERNS, Encoding
-from chromaperture.system.errors import InputError
+from chromaperture.system.errors import InputError, needed
 from chromaperture.system.validation import quoted
 
 _TURNS = {3: 180, 5: 270, 6: 90}  # LibRaw's codes of an orientation, degrees clockwise
@@ -50,10 +49,7 @@ def raw_format(path: Path) -> PictureFormat:
 
 
 def read_raw(path: Path, *, size_px: tuple[int, int] | None = None) -> tuple[np.ndarray, Encoding]:
-    """Read the mosaic and make one pixel of every 2 x 2 cell; counts are twice its, levels the file's own, doubled.
-
-    Raises InputError for what cannot be read, ends too early or is no Bayer mosaic; MissingDependencyError.
-    """
+    """Read the mosaic and make one pixel of every 2 x 2 cell; counts and levels are twice the file's."""
     with _opened(path) as raw:
         check_size(raw.sizes.width // 2, raw.sizes.height // 2, path.name, size_px)
         layout = None if raw.raw_pattern is None else np.asarray(raw.raw_pattern)
@@ -79,10 +75,7 @@ def read_raw(path: Path, *, size_px: tuple[int, int] | None = None) -> tuple[np.
 
 
 def _white_level(raw: Any) -> float:
-    """Return the count up to which all channels are linear: that of the format, or what the camera states if lower.
-
-    Sony's ARW states 15360 of 16383 counts. Neither has black subtracted (LibRaw, `libraw_colordata_t`).
-    """
+    """Return the count up to which all channels are linear: that of the format, or the camera's if lower."""
     stated = getattr(raw, "camera_white_level_per_channel", None) or ()
     return float(min([raw.white_level, *(level for level in stated if level > 0)]))
 
@@ -151,10 +144,7 @@ def developed(name: str) -> str:
 
 
 def black_of_cells(path: Path, top: int, left: int) -> np.ndarray | None:
-    """Return the black levels of a DNG's repeating cell, from a photosite on; None where LibRaw's are right.
-
-    LibRaw knows one level a colour, and lets them begin at even photosites.
-    """
+    """Return the black levels of a DNG's repeating cell from a photosite on; None where LibRaw's are right."""
     tags = _dng_tags(path)
     rows, columns = (int(n) for n in tags.get(_BLACK_REPEAT, (1, 1)))
     y, x = (int(n) for n in tags.get(_ACTIVE_AREA, (0, 0))[:2])  # where the levels begin
@@ -179,10 +169,7 @@ def _dng_tags(path: Path) -> dict[int, Any]:
 
 
 def check_complete(path: Path) -> None:
-    """Check that a file is as long as its container says: LibRaw reads what is missing as black; raises InputError.
-
-    DNG, CR2, NEF and ARW are TIFF files, CR3 is an ISO base media file. Other forms are not checked.
-    """
+    """Check that a file is as long as its container says: LibRaw reads what is missing as black."""
     size = os.path.getsize(path)
     with open(path, "rb") as file:
         start = file.read(8)

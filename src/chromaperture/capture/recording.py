@@ -1,9 +1,9 @@
 """Recordings: every acknowledged frame is on the disk, however the program ends.
 
-A folder with ``recording.json`` (format and source), ``frames/NNNNNNNN.tiff`` (counts as delivered, uncompressed) and
-``index.jsonl``, one line per frame, appended and synced to the disk after the picture. An incomplete last line, as a
-crash leaves it, is ignored. Picture and line have a checksum each, lines since format 3: a damaged one costs its frame.
-Levels that nobody gave are null; format 1 wrote 0 and 65535 for those of 16-bit files.
+``recording.json`` (format and source), ``frames/NNNNNNNN.tiff`` (counts as delivered) and ``index.jsonl``, a line per
+frame, synced to the disk after the picture. An incomplete last line, as a crash leaves it, is ignored. Picture and line
+have a checksum each, lines since format 3: a damaged one costs its frame. Levels that nobody gave are null; format 1
+wrote 0 and 65535.
 """
 
 from __future__ import annotations
@@ -66,10 +66,7 @@ class Entry(Table):
 
 
 class Recorder:
-    """Write frames into a folder that holds no recording, and is made when absent; a context manager.
-
-    Entering raises InputError where the folder cannot be used, `write` where the disk is full.
-    """
+    """Write frames into a folder that holds no recording; a context manager; raises InputError, disk full too."""
 
     def __init__(self, folder: str | Path, *, source: str = "") -> None:
         self.folder, self.count = Path(folder), 0

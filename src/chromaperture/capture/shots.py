@@ -41,10 +41,7 @@ def photographs(folder: Path, kind: str = "") -> tuple[list[Path], dict[Path, st
 
 
 def one_of_each(paths: Iterable[Path], kind: Callable[[], str]) -> tuple[list[Path], dict[Path, str]]:
-    """Return the photographs among files, and pictures that are left out with the reason.
-
-    Of several of one name, as RAW and JPEG of a shot, one is taken: of suffix ``kind()``, else RAW unless that is JPEG.
-    """
+    """Return one photograph of each name, of suffix ``kind()``, else RAW, and why the others are left out."""
     shots: dict[tuple[Path, str], list[Path]] = {}
     left_out = {}
     for path in paths:

@@ -11,9 +11,8 @@ import numpy as np
 
 from chromaperture.capture.source import FileSource, Frame, checked_fps
 from chromaperture.color.encoding import Encoding
-from chromaperture.optics.aperture import Aperture, made_of
 from chromaperture.optics.pinhole import PupilCamera
-from chromaperture.optics.printing.aperture_file import load_aperture
+from chromaperture.optics.printing.aperture_file import load_made
 from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.simulator.layer_renderer import read_rgbd, render_layers, rgbd_pairs
 from chromaperture.optics.simulator.render import render
@@ -58,7 +57,7 @@ class SimulatedSource(FileSource):
 
     def open(self) -> None:
         """Find the pictures; check design and scene."""
-        self._aperture()
+        load_made(self.design, self.film)
         if self.cells < 4 or self.cells % 2:
             raise InputError(f"cells must be even and at least 4, got {self.cells}")
         if self.path.suffix == ".toml":
@@ -76,7 +75,7 @@ class SimulatedSource(FileSource):
                 color, depth, depth_unit_mm=self.depth_unit_mm, sensor_to_pupil_mm=self.sensor_to_pupil_mm
             )
             camera = self._camera(depth_mm.shape[1], depth_mm.shape[0])
-            light = render_layers(picture, depth_mm, camera=camera, aperture=self._aperture()).image
+            light = render_layers(picture, depth_mm, camera=camera, aperture=load_made(self.design, self.film)).image
             found: dict[str, object] = {"file": color.name, "depth_file": str(depth)}
             pose = depth.parent / depth.name.replace(".depth.png", ".pose.txt")
             if pose != depth and pose.is_file():
@@ -85,7 +84,7 @@ class SimulatedSource(FileSource):
 
     def _through_scene(self) -> Iterator[Frame]:
         planes, camera = load_scene(self.path), self._camera(self.width, self.height)
-        rays = pinhole_rays(camera, self._aperture(), cells=self.cells)
+        rays = pinhole_rays(camera, load_made(self.design, self.film), cells=self.cells)
         for index in range(_TURN if self.count is None else self.count):
             angle = 2 * math.pi * index / _TURN
             position = self.orbit_mm * np.array([1 - math.cos(angle), math.sin(angle), 0.0])  # begins at the origin
@@ -103,7 +102,3 @@ class SimulatedSource(FileSource):
     def _camera(self, width: int, height: int) -> PupilCamera:
         optics_mm = self.pupil_radius_mm, self.focus_mm, self.sensor_to_pupil_mm
         return PupilCamera(width, height, self.focal_px or _KINECT * width, *optics_mm, _PITCH_MM)
-
-    def _aperture(self) -> Aperture:
-        design = load_aperture(self.design)
-        return design if self.design.lower().endswith((".toml", ".svg")) else made_of(design, self.film)

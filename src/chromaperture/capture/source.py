@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import importlib
 import logging
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -19,15 +18,7 @@ import numpy as np
 
 from chromaperture.color.encoding import CENTRED, Encoding, Levels, develop_counts
 from chromaperture.color.image import DARK
-from chromaperture.system.errors import InputError, MissingDependencyError
-
-
-def needed(module: str, hint: str) -> Any:
-    """Import an optional package; raises MissingDependencyError with what to do."""
-    try:
-        return importlib.import_module(module)
-    except (ImportError, OSError):  # a shared library may be missing
-        raise MissingDependencyError(hint) from None
+from chromaperture.system.errors import InputError
 
 
 def checked_fps(fps: float) -> float:
@@ -95,10 +86,7 @@ class Source(Protocol):
 
 @dataclass(eq=False)
 class FileSource:
-    """A source that is read at the reader's pace; subclasses implement `open`, `close` and `frames`.
-
-    Their fields are the settings of `open_source`; `kind` stands before the place in the name.
-    """
+    """A source that is read at the reader's pace; the fields of subclasses are settings of `open_source`."""
 
     place: str  # of files or device
     _: KW_ONLY

@@ -38,11 +38,7 @@ _PIECE_BYTES = 1_000_000  # unpacked at a time where only the size is wanted
 
 
 def decode_tiff(data: bytes, name: str, *, check: Callable[[int, int], None] | None = None) -> np.ndarray:
-    """Decode the largest picture among the first pages of a file, as stored, (H, W) or (H, W, S).
-
-    ``check`` is called with width and height before anything is unpacked. Raises InputError where the file is damaged,
-    holds no pixel, or unpacks to more than it declares.
-    """
+    """Decode the largest picture among the first pages, as stored; ``check`` gets its width and height before."""
     with _opened(data, name) as (page, others):
         _check_page(page, name)
         if check is not None:
@@ -134,10 +130,7 @@ def _check_page(page: tifffile.TiffPage, name: str) -> None:
 
 
 def _check_segments(page: tifffile.TiffPage, data: bytes) -> None:
-    """Raise ValueError where strips or tiles are missing, cut off, or unpack to more than they hold.
-
-    Deflate shrinks zeros to a thousandth: 2 MB unpack to 2 GB.
-    """
+    """Raise ValueError where strips or tiles are cut off, or unpack to more than they hold, as zip bombs do."""
     offsets, counts = page.dataoffsets, page.databytecounts
     if not len(offsets) == len(counts) == math.prod(page.chunked):
         raise ValueError("strips are missing")

@@ -29,11 +29,7 @@ _CENTRED_Y4M = (b" C420jpeg", b" C420 ", b" C420\n")  # mjpegtools' names of 4:2
 
 @dataclass(kw_only=True, eq=False)
 class VideoSource(PictureSource):
-    """Frames of a clip as stored: of 4:2:0 at half the size, turned by no tag, at the times that it states.
-
-    Without a tag or levels counts are sRGB. Chroma of which nothing is said lies left, as H.264, HEVC and VP9 define
-    it. ``form`` is that of the last frame.
-    """
+    """Frames of a clip as stored: half the size for 4:2:0, chroma at the left by default, as codecs define it."""
 
     fps: float | None = None  # in place of the clip's own times
     siting: Siting | None = None

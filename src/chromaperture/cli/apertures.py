@@ -79,10 +79,7 @@ def apertures(
 
 
 def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list[float]) -> list[dict[str, Any]]:
-    """Return the figures of designs in one lens, at equal exposure of the open aperture; lists run over distances.
-
-    The baseline is b = 2 r_c, Eq. (6). A design without views has no baseline, disparity and depth error: None.
-    """
+    """Return the figures of designs in one lens, at equal exposure; lists run over distances, None without views."""
     import numpy as np
 
     from chromaperture.optics.aperture import aperture_figures, film_unmixing

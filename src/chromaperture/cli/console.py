@@ -80,11 +80,7 @@ def show_warning(
 
 @contextlib.contextmanager
 def progress(*, quiet: bool) -> Iterator[Update]:
-    """Show how far a command is, on standard error; yields ``update(what, done, total)``.
-
-    On a terminal it is a bar with the remaining time; elsewhere a line every `LINE_EVERY_S` while there is something
-    new, less often where there is nothing, and none for what takes no longer than that.
-    """
+    """Yield ``update(what, done, total)``, a bar on a terminal, else a line every `LINE_EVERY_S` with news."""
     if quiet:
         yield lambda what, done, total: None
     elif err.is_interactive:

@@ -61,11 +61,7 @@ def demo(
 
 
 def explain_walls(halves: DepthFrame, opened: DepthFrame) -> tuple[str, str]:
-    """Say what the two samples, one scene through two apertures, show of its far wall.
-
-    ``halves``, ``opened``: the scene through cyan and yellow halves, which measure the wall well, and through the open
-    band. Returns ``first, second`` str.
-    """
+    """Say what the samples through halves and through the open band, one scene, show of its far wall."""
     (distance, sigma), (other, other_sigma) = wall_distance(halves), wall_distance(opened)
     first = f"cyan and yellow halves; the far wall at the top right is {distance:.0f} ± {sigma:.0f} mm away."
     second = "the same scene through the open band, which lets more light through and has little parallax; the wall "

@@ -41,7 +41,7 @@ from chromaperture.system.errors import CaptureWarning, ChromapertureError, Inpu
 
 if TYPE_CHECKING:
     from chromaperture.camera.camera import CodedApertureCamera
-    from chromaperture.products.archive import Recipe
+    from chromaperture.products.archive import Outcome, Recipe
     from chromaperture.products.measure_file import Written
 
 MOST_COLUMNS = 6  # photographs in a table of results; more are counted. Six fit a line of 160 letters
@@ -219,10 +219,7 @@ def refuse_common_results(names: Sequence[str], out: str | None) -> None:
 
 
 def cameras(first: Path, camera: Path | None, design: str | None, **settings: Any) -> CameraOf:
-    """Return the function from an image to its camera: the file's, read once, or one for each size for a design.
-
-    ``settings`` are those of `camera_for`.
-    """
+    """Return the function from an image to its camera: the file's, or one for each size for a design."""
     from chromaperture.capture.files import image_size
     from chromaperture.cli.setup import camera_for
     from chromaperture.color.encoding import NOTHING_STATED
@@ -260,6 +257,17 @@ class Batch:
         """How many were measured, kept, and failed."""
         return f"{self.measured} measured, {len(self.kept)} complete before, {len(self.failed)} failed"
 
+    def take(self, outcome: Outcome) -> None:
+        """Count what another process reports, and pass its warnings on."""
+        for text in outcome.warnings:
+            warnings.warn(text, CaptureWarning, stacklevel=2)
+        if outcome.error:
+            self.failed.append((outcome.image, outcome.error))
+        elif outcome.kept:
+            self.kept.append(outcome.image)
+        else:
+            self.measured += 1
+
     def exit_if_failed(self) -> None:
         """End with 1 where some could not be measured, with 2 where none could."""
         if self.failed:
@@ -278,11 +286,7 @@ def measure_batch(
     left_out: Mapping[Path, str],
     **options: Any,
 ) -> None:
-    """Measure photographs here, report them, and end with an exit code where some could not be measured.
-
-    ``recipe`` is there for a camera that was calibrated: results that it made before are kept. ``left_out`` are files
-    that are no photographs, see `one_of_each`.
-    """
+    """Measure photographs here, keeping what ``recipe`` made before, and end with the batch's exit code."""
     batch, began = Batch(), time.monotonic()
     with contextlib.suppress(ChromapertureError):  # a photograph without a size, where the camera is made for its size
         announce_duration(camera_of(images[0]), len(images), quiet=quiet)
@@ -353,18 +357,12 @@ def _in_processes(images: Sequence[Path], recipe: Recipe, jobs: int, batch: Batc
     reports: dict[str, Written] = {}
     names = [absolute(str(image)) for image in images]
     for done, outcome in enumerate(measure_in_processes(names, recipe, jobs=jobs), 1):
-        for text in outcome.warnings:
-            warnings.warn(text, CaptureWarning, stacklevel=2)
+        batch.take(outcome)
         if outcome.error:
-            batch.failed.append((outcome.image, outcome.error))
             name = Path(outcome.image).name
             say_error(outcome.error if name in outcome.error else f"{name}: {outcome.error}")
         else:
             reports[outcome.image] = _read(outcome.image, recipe)
-            if outcome.kept:
-                batch.kept.append(outcome.image)
-            else:
-                batch.measured += 1
         yield done
     batch.reports += [reports[name] for name in names if name in reports]
     batch.kept.sort(key=names.index)  # processes end in any order
@@ -402,10 +400,7 @@ def _print(batch: Batch, count: int, seconds: float, note: str) -> None:
 def measure_archive(
     images: Sequence[str], recipe: Recipe, address: str, *, left_out: Mapping[Path, str], json: bool, quiet: bool
 ) -> None:
-    """Measure photographs on a cluster, print each failure as it happens and a summary; ends as `measure_batch`.
-
-    Raises InputError: see `measure_on_cluster`; what is complete is kept.
-    """
+    """Measure photographs on a cluster, print each failure as it happens and a summary; ends as `measure_batch`."""
     from chromaperture.products.archive import measure_on_cluster
 
     batch, began = Batch(), time.monotonic()
@@ -413,15 +408,9 @@ def measure_archive(
         with progress(quiet=quiet) as update:
             update("waiting for the cluster", 0, len(images))
             for done, outcome in enumerate(measure_on_cluster(images, recipe, address), 1):
-                for text in outcome.warnings:
-                    warnings.warn(text, CaptureWarning, stacklevel=2)
+                batch.take(outcome)
                 if outcome.error:
-                    batch.failed.append((outcome.image, outcome.error))
                     say_error(f"{outcome.image}: {outcome.error}")
-                elif outcome.kept:
-                    batch.kept.append(outcome.image)
-                else:
-                    batch.measured += 1
                 update(batch.stage, done, len(images))
     except InputError as error:
         raise InputError(f"{error} ({batch.counts}, of {len(images)})") from None

@@ -127,7 +127,7 @@ def live(
                 elsewhere = shown.access.url(shown.port, host=socket.gethostname())
                 typer.echo(f"From other machines: {elsewhere}", err=json or quiet)
         if stream_to is not None:
-            from chromaperture.app.live.streaming import Streaming
+            from chromaperture.app.live.loop import Streaming
 
             opened.enter_context(stream_to)
             opened.enter_context(Streaming(loop, stream_to))

@@ -54,10 +54,7 @@ def _options(
 
 
 def main() -> None:
-    """Run the command line; whatever fails is one line on standard error and an exit code.
-
-    2: invalid input, or the machine cannot do it; 130: Ctrl-C; 143: SIGTERM; 141: the reader of the output has gone.
-    """
+    """Run the command line; whatever fails is one line and 2, Ctrl-C 130, SIGTERM 143, a closed pipe 141."""
     with stop_on_signals() as stop:
         try:
             _run()

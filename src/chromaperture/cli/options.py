@@ -159,10 +159,7 @@ def inner_corners(text: str) -> tuple[int, int]:
 
 
 def check_output(path: Path, *suffixes: str, inputs: Iterable[Path | None] = (), option: str = "--out") -> None:
-    """Refuse a file to write that has another suffix, or that is one of the inputs.
-
-    Raises InputError: with the option to change.
-    """
+    """Refuse a file to write that has another suffix, or that is one of the inputs."""
     if suffixes and path.suffix.lower() not in suffixes:
         raise InputError(f"{option} {path.name} must end in {' or '.join(suffixes)}")
     for given in inputs:
@@ -171,10 +168,7 @@ def check_output(path: Path, *suffixes: str, inputs: Iterable[Path | None] = (),
 
 
 def check_film(camera: CodedApertureCamera, image: np.ndarray, name: str, *, refuse: bool = True) -> None:
-    """Warn of a photograph that is unlikely to be taken through the camera's film; refuse one that cannot be.
-
-    Raises InputError: the film is certainly another one, and ``refuse``.
-    """
+    """Warn of a photograph unlikely to be taken through the camera's film; ``refuse`` one that cannot be."""
     if line := film_doubts(camera, image, name, refuse=refuse):
         warnings.warn(line, CaptureWarning, stacklevel=2)
 
@@ -188,10 +182,7 @@ def film_checked(frames: Iterable[Frame], camera: CodedApertureCamera, *, refuse
 
 
 def film_doubts(camera: CodedApertureCamera, image: np.ndarray, name: str, *, refuse: bool = False) -> str:
-    """Return what speaks against the camera's film in a photograph, one line; empty where nothing does.
-
-    Raises InputError: as `check_film`.
-    """
+    """Return what speaks against the camera's film in a photograph, one line; empty where nothing does."""
     from chromaperture.evaluation.health import film_match
     from chromaperture.matching.working_scale import reduced
     from chromaperture.model.scale import at_scale

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -156,15 +156,12 @@ def _restored(
     image: np.ndarray, camera: CodedApertureCamera, request: _Request, measured: Callable[[], None]
 ) -> SharpPicture:
     """Measure and restore, scaled so that the picture's brightest lies just below white."""
-    import numpy as np
-
-    from chromaperture.effects.restore import restore
+    from chromaperture.effects.restore import brightened, restore
 
     frame = camera.measure(image)
     measured()
-    picture = restore(image, frame.disparity_px, camera, sigma_px=frame.disparity_sigma_px, sharpness=request.sharpness)
-    gain = float(0.95 / max(np.percentile(picture.color, 99.8), 1e-6))
-    return replace(picture, color=picture.color * gain)
+    sigma_px = frame.disparity_sigma_px
+    return brightened(restore(image, frame.disparity_px, camera, sigma_px=sigma_px, sharpness=request.sharpness))
 
 
 def _write(picture: SharpPicture, lens: Focus, request: _Request, camera: CodedApertureCamera) -> None:
@@ -223,13 +220,8 @@ def chosen_radius(
     camera: CodedApertureCamera, picture: SharpPicture, distance_mm: float | None, pixel: tuple[int, int] | None
 ) -> float:
     """Return the blur radius of the surface to focus on; 0, the capture's own focus, when none is chosen."""
-    import numpy as np
-
-    from chromaperture.effects.restore import focus_radius
+    from chromaperture.effects.restore import focus_radius, radius_at
 
     if distance_mm is not None:
         return focus_radius(camera, distance_mm)
-    if pixel is None:
-        return 0.0
-    x, y = pixel
-    return float(np.median(picture.radius_px[max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4]))
+    return 0.0 if pixel is None else radius_at(picture, *pixel)

@@ -67,10 +67,7 @@ def open_stream(
     white_level: float | None = None,
     say: Callable[[str], None] = say_warning,
 ) -> Source:
-    """Create a source whose events are printed as warnings; levels override those of the camera and of the file.
-
-    ``say`` receives the events instead, from the thread of the source.
-    """
+    """Create a source whose events go to ``say``, from its thread; levels override the camera's and the file's."""
     return open_source(
         source,
         listener=lambda event: say(event.message),

@@ -69,6 +69,7 @@ def simulate(
     """
     from chromaperture.optics.pinhole import focused_at, pupil_camera
     from chromaperture.optics.prescription import load_lens, with_filter_at
+    from chromaperture.optics.printing.aperture_file import load_made
     from chromaperture.optics.ray_table import RayTable, lens_rays, pinhole_rays
     from chromaperture.optics.simulator.scene import load_scene
     from chromaperture.optics.simulator.session import SessionPlan, write_session
@@ -80,7 +81,7 @@ def simulate(
         raise InputError(f"--cells must be even and at least 4, got {cells}")
     if step_mm <= 0 or farthest_mm < nearest_mm:
         raise InputError("--step-mm must be positive and --farthest-mm at least --nearest-mm")
-    aperture = _design(design, film)
+    aperture = load_made(design, film)
     optics = focused_at(load_lens(lens), focus_mm)
     size: dict[str, Any] = {"width_px": width, "height_px": height, "pixel_pitch_mm": sensor_width_mm / width}
     camera = pupil_camera(optics, **size)
@@ -130,12 +131,13 @@ def simulate_rgbd(
     import cv2
 
     from chromaperture.optics.pinhole import PupilCamera
+    from chromaperture.optics.printing.aperture_file import load_made
     from chromaperture.optics.simulator.layer_renderer import read_rgbd, render_layers
     from chromaperture.optics.simulator.sensor import SensorModel, expose
     from chromaperture.system.storage import staged
 
     check_output(out, ".png", inputs=[color, depth], option="OUT")
-    aperture = _design(design, film)
+    aperture = load_made(design, film)
     picture, depth_mm = read_rgbd(color, depth, depth_unit_mm=depth_unit_mm, sensor_to_pupil_mm=sensor_to_pupil_mm)
     height, width = depth_mm.shape
     # The pixel pitch, 0.02 mm, only serves to check that the focus lies beyond the image distance.
@@ -146,12 +148,3 @@ def simulate_rgbd(
         stage.path(out.name).write_bytes(cv2.imencode(".png", counts[..., ::-1])[1].tobytes())
     if not quiet:
         typer.echo(f"Wrote {out} ({rendered.layer_count} layers)")
-
-
-def _design(name: str, film: str) -> optics_aperture.Aperture:
-    """Return a design made of a film, or that of a file with its own film."""
-    from chromaperture.optics.aperture import made_of
-    from chromaperture.optics.printing.aperture_file import load_aperture
-
-    design = load_aperture(name)
-    return design if name.lower().endswith((".toml", ".svg")) else made_of(design, film)

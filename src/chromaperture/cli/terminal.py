@@ -47,10 +47,7 @@ class Stop:
 
 @contextlib.contextmanager
 def stop_on_signals() -> Iterator[Stop]:
-    """Raise KeyboardInterrupt on SIGTERM as on Ctrl-C, and keep which of them it was.
-
-    In another thread than the main one, where Python allows no handlers, nothing is changed.
-    """
+    """Raise KeyboardInterrupt on SIGTERM as on Ctrl-C, and keep which it was; nothing in other threads."""
     stop = Stop()
 
     def handle(number: int, frame: FrameType | None) -> None:

@@ -33,7 +33,7 @@ def view(
 
     chromaperture view camera.asdf --out camera.html
     """
-    from chromaperture.app.page_server import PageServer
+    from chromaperture.app.listening import PageServer
     from chromaperture.files.map_page import render
     from chromaperture.system.storage import staged
 

@@ -25,20 +25,12 @@ _STILL = 1e-3  # displacement per px of disparity that counts as none: the accur
 
 
 def channel_directions(aperture: Aperture, film: dict[str, np.ndarray]) -> np.ndarray:
-    """Compute the displacement (x, y) of the sensor's R, G, B in units of the views' displacement; (3, 2) float64.
-
-    Film leaks: red sees a little of the cyan half too, and moves less than the unmixed yellow view. ``film`` holds the
-    measured R, G, B transmission of each filter; missing ones keep the design's ideal film.
-    """
+    """Return the displacement (x, y) of R, G, B per that of the views, (3, 2), by the film's leaks."""
     return np.nan_to_num(centroids(aperture.with_film(film))) / view_reach(aperture)
 
 
 def fill_unknown(values: np.ndarray, *, step: int = 1) -> np.ndarray:
-    """Replace every NaN by the nearest known value, or all by zero when none is known; (H, W).
-
-    With a ``step`` the nearest is looked for among every so many rows and columns: for maps of many megapixels that
-    were interpolated between pixels so far apart.
-    """
+    """Replace every NaN by the nearest known value, on a lattice of ``step``, or by 0 where none is known."""
     if step > 1:
         return rows_filler(values, step=step)(slice(0, len(values)))
     unknown = ~np.isfinite(values)
@@ -151,13 +143,7 @@ def white_gains(white_rgb: np.ndarray) -> np.ndarray:
 
 
 def fill_from_nearest(values: np.ndarray) -> np.ndarray:
-    """Replace every NaN by the value of a nearest known pixel, exactly.
-
-    Columns first, then the lower envelope of parabolas along rows: Felzenszwalb and Huttenlocher, Distance transforms
-    of sampled functions (2012). SciPy takes four times as long: it does not leave out what is known.
-
-    ``values`` (H, W) float32 or float64: at least one is known. Returns (H, W), of the same type.
-    """
+    """Replace every NaN by a nearest known value, exactly (Felzenszwalb and Huttenlocher 2012), faster than SciPy."""
     values = np.ascontiguousarray(values)
     rows, filled = np.empty(values.shape, np.int32), values.copy()
     _nearest_rows(values, rows)

@@ -1,9 +1,7 @@
 """Colours of maps: one choice for every picture, plot and page of the package.
 
-Distances are drawn with turbo, reversed: near is red, far is blue, as disparity maps of stereo cameras usually are, and
-warm colours seem to come forward. Turbo was made for depth (A. Mikhailov, Google, 2019): it shows more small steps than
-a map of one hue, and its lightness has no false edges, unlike jet's. Whatever grows with distance (disparity, radius of
-the blur) is drawn so too.
+Turbo, reversed: near is red, far is blue, as in disparity maps; it was made for depth (A. Mikhailov, Google, 2019),
+shows more small steps than a map of one hue, and has no false edges.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""What the numbers of a picture mean, primaries and curve, and the way from them to linear sRGB.
-
-Pictures are brought to the primaries of sRGB because the colours of film in a camera file are those of one set of
-primaries. What a file states is read in `chromaperture.color.color_space`.
-"""
+"""What the numbers of a picture mean, primaries and curve, and the way from them to linear sRGB."""
 
 from __future__ import annotations
 
@@ -111,11 +107,7 @@ class ColorSpace:
     transfer: Transfer | None  # the curve; None where it is not stated
 
     def to_srgb(self) -> tuple[float, ...] | None:
-        """Matrix from linear light in these primaries to linear sRGB, nine numbers by rows; None where none is needed.
-
-        Whites are brought together by Bradford's transform (ICC.1:2022, annex E), so neutral colours stay neutral.
-        Primaries of sRGB to 2e-4 in x and y change no value by more than 0.3 % of full scale, and need none.
-        """
+        """Matrix to linear sRGB by rows, whites adapted by Bradford's transform; None where none is needed."""
         if self.primaries is None or _known(self.primaries) == SRGB_PRIMARIES:
             return None
         matrix = np.linalg.solve(_xyz(SRGB_PRIMARIES), _adapted(_xyz(self.primaries), self.primaries[3], _D65))
@@ -123,11 +115,7 @@ class ColorSpace:
 
 
 def of_codes(primaries: int, transfer: int) -> ColorSpace:
-    """Colour space by the codes of ITU-T H.273 (tables 2 and 3), as in cICP, nclx and video streams.
-
-    ``primaries``, ``transfer``: ColourPrimaries and TransferCharacteristics; 2 and 0 are "not stated". Raises
-    InputError: a curve that is not undone (logarithms, ST 428 and others), or primaries that are not read.
-    """
+    """Colour space by ITU-T H.273 codes (tables 2 and 3; 2 and 0: not stated); raises InputError."""
     if transfer not in _NOT_STATED and transfer not in _TRANSFER_OF_CODE:
         what = _NOT_UNDONE.get(transfer, "unknown")
         raise InputError(f"the curve (H.273 code {transfer}, {what}) is not undone: export the file as sRGB")
@@ -264,11 +252,7 @@ def of_png(data: bytes) -> ColorSpace | None:
 
 
 def of_exif(color_space: int | None, interoperability: str | None) -> ColorSpace | None:
-    """Colour space by Exif, for a picture without an ICC profile.
-
-    Most cameras that are set to Adobe RGB state it in no other way (DCF 2.0, option file). ``color_space``: tag 0xA001:
-    1 is sRGB, 0xFFFF any other, 2 some writers' Adobe RGB; ``interoperability``: tag 1 of the directory at 0xA005.
-    """
+    """Colour space by Exif 0xA001 and tag 1 of 0xA005, where most cameras state Adobe RGB (DCF 2.0)."""
     if color_space == 1:  # goes before an index that an editor has left behind
         return of_values(SRGB_PRIMARIES, Transfer("srgb"))
     if color_space == 2 or interoperability == "R03":

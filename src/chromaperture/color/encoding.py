@@ -16,7 +16,7 @@ from chromaperture.system.errors import CaptureWarning, InputError
 from chromaperture.system.threads import each_band
 
 KNOTS = 10  # exponents of a curve; chosen by hand
-_PLACES = 513  # of the table, evenly over sRGB codes; above a value of .01 powers .5 to 3 are off by less than 2e-5
+_PLACES = 513  # of the table, evenly over sRGB codes; above a value of 0.01 powers 0.5 to 3 are off by less than 2e-5
 _LEAST = 1e-6  # decoded value whose logarithm stands for that of 0
 
 
@@ -31,10 +31,7 @@ class ResponseCurve:
     exponents: tuple[float, ...]  # positive, linear between the codes
 
     def light(self, values: np.ndarray) -> np.ndarray:
-        """Return the linear light of decoded values; float32 of the same shape.
-
-        Beyond 0 and 1, where noise and other levels lead, values keep the scale of the curve's ends.
-        """
+        """Return the linear light of decoded values, float32; beyond 0 and 1 at the scale of the curve's ends."""
         decoded = np.asarray(values, np.float32)
         at, light = response_table(self.exponents)
         found = np.interp(decoded, at, light)

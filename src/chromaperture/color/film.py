@@ -1,12 +1,9 @@
-"""Transmission of film without a photographed white sheet.
+"""Whether a photograph was taken through a camera's film, and film without a photographed white sheet.
 
-Whether a photograph was taken through the film of a camera, from its colours and its channels' displacements.
-
-Two independent tests. *Cast*: the edges of a scene are grey on average (grey-edge hypothesis: van de Weijer, Gevers,
-Gijsenij 2007), so that the edges of the channels must have the ratios of the camera's white. Only green against red and
-blue counts, because daylight and lamps differ mainly in red against blue. *Displacement*: windows of red and blue are
-displaced against green by r (rho_R - rho_G) and r (rho_B - rho_G), where rho are the centroids of the film and r is
-the signed blur radius; the light does not matter.
+*Cast*: the edges of a scene are grey on average (grey-edge hypothesis: van de Weijer, Gevers, Gijsenij 2007), so the
+edges of the channels must have the ratios of the camera's white; only green against red and blue counts, as daylight
+and lamps differ in red against blue. *Displacement*: red and blue are displaced against green by r (rho_R - rho_G) and
+r (rho_B - rho_G), rho the centroids of the film and r the signed blur radius, whatever the light.
 """
 
 from __future__ import annotations
@@ -27,12 +24,7 @@ _MOST_CORRECTION = 2.0  # factor on typical film in one channel; more means that
 def completed_film(
     aperture: Aperture, measured: Mapping[str, np.ndarray], *, light: np.ndarray | None
 ) -> dict[str, np.ndarray]:
-    """Complete the measured transmission of an aperture's film; (3,) float64 by filter, for ``aperture.views``.
-
-    Film without a sheet is assumed to be typical film of its colour (`FILMS`, "real"). If white was photographed
-    through the aperture, its channels are scaled so that the aperture passes that ``light``, (3,) over that of the open
-    pupil; with one sheet missing this is exact.
-    """
+    """Complete measured film by typical film, scaled to the ``light`` (3,) that passes the whole aperture."""
     usual = {name: sheet.transmission for name, sheet in (film_named("real") | FIXED).items()}
     film = {
         name: np.asarray(measured.get(name, usual.get(name, aperture.filter_named(name).transmission)), float)
@@ -112,12 +104,7 @@ class FilmMatch:
 
 
 def match_film(image: np.ndarray, aperture: Aperture, white: np.ndarray, radius_px: tuple[float, float]) -> FilmMatch:
-    """Compare a photograph with a film.
-
-    ``image`` (H, W, 3) float, linear RGB, 1.0 = white level; ``aperture``: with the camera's own film; ``white`` (3,)
-    float: colour of white light through it; ``radius_px`` (float, float): signed blur radius at the near and the far
-    end of the working range.
-    """
+    """Compare a photograph with the film of an aperture, blurred within the radii of the range's two ends."""
     image = np.nan_to_num(np.asarray(image, np.float32), posinf=1.0)
     scale = min(1.0, _WIDTH_PX / image.shape[1])
     if scale < 1:

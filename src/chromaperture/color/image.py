@@ -40,18 +40,13 @@ def is_saturated(sheet: np.ndarray) -> bool:
 # A pixel is defective where it stands out of all its neighbours by so many standard deviations of noise, by so many
 # times the range of those neighbours, which the blur of a lens would have raised with it, and from their median by so
 # many times as much as the other channels do there: a point that is imaged sharply shows in all of them. Of 240 hot,
-# half hot, weak (.25 of white) and dead pixels .98, .93, .84 and .92 are found; of sound ones 29 in 80 random scenes
-# of 720x480 px, most of them points of prints in focus, and none in bench50's scenes.
+# half hot, weak (0.25 of white) and dead pixels 0.98, 0.93, 0.84 and 0.92 are found; of sound ones 29 in 80 random
+# scenes of 720x480 px, most of them points of prints in focus, and none in bench50's scenes.
 _SIGMAS, _TIMES_RANGE, _TIMES_OTHERS = 8.0, 2.0, 3.0
 
 
 def without_defects(image: np.ndarray, variance: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Replace hot, stuck and dead pixels, and hits of cosmic rays, by the median of their neighbourhood; (H, W, 3).
-
-    The likelihood of quality "accurate" takes detail at one pixel of one channel for detail in focus
-    (docs/decisions.md). ``variance``: from the image to the variance of its noise, called only where a pixel stands out
-    of its neighbours. Returns the image itself where nothing was found.
-    """
+    """Replace pixels that stand out of their neighbourhood's noise by its median; (H, W, 3)."""
     ring = np.ones((3, 3), np.uint8)
     ring[1, 1] = 0
     highest, lowest = cv2.dilate(image, ring), cv2.erode(image, ring)

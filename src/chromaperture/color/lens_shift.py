@@ -51,10 +51,7 @@ class LensMoves(NamedTuple):
 
 
 class LensShift:
-    """Displacement of the channels over the frame and a range of blur radii.
-
-    ``near_mm``, ``far_mm``: range of distances from the entrance pupil; outside it the nearest displacement is used.
-    """
+    """Displacement of the channels over the frame and a range of blur radii; the nearest outside of it."""
 
     def __init__(self, blur: LensBlur, *, near_mm: float, far_mm: float) -> None:
         self.blur = blur
@@ -74,12 +71,7 @@ class LensShift:
         return self.radius_px((at_infinity - layer_px) / scale)
 
     def __call__(self, radius_px: np.ndarray, *, first_row: int = 0, height: int | None = None) -> np.ndarray:
-        """Compute the displacement of each channel from the view of the pupil's centre.
-
-        ``radius_px`` (H, W) float, px, no NaN: over the frame, in any number of pixels; ``first_row``, ``height``:
-        where ``radius_px`` is a band of a frame of so many rows, the number of its first row. Returns (3, 2, H, W)
-        float32, px, x before y: channel k shows at x + displacement what the centre view shows at x.
-        """
+        """Return the displacement (3, 2, H, W), px, at blur radii of the frame, or of a band at ``first_row``."""
         out = np.empty((3, 2, *radius_px.shape), np.float32)
         planes, table = out.reshape(6, *radius_px.shape), self.table
         start, step = np.float32(self.radii_px[0]), np.float32(self.radii_px[1] - self.radii_px[0])
@@ -110,10 +102,7 @@ class LensShift:
 
 
 def least_fringes(rays: list[ChannelRays]) -> np.ndarray:
-    """Compute the displacements after which the blurred channels differ least; (3, 2) float64, px, (x, y).
-
-    ``rays``: of one object point.
-    """
+    """Compute the displacements (3, 2), px, after which an object point's blurred channels differ least."""
     step = _HIGHEST / _FREQUENCIES
     fy, fx = step * np.arange(-_FREQUENCIES, _FREQUENCIES + 1)[:, None], step * np.arange(_FREQUENCIES + 1)
     f2 = fy**2 + fx**2

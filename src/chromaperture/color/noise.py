@@ -17,8 +17,8 @@ _BLOCK_SAMPLES = 32  # along each side
 KERNEL_NORM = 6.0  # root of the sum of squares of that kernel
 _BLOCK_SIGMA = 0.086  # relative standard error of a block's variance, sqrt(2 / 271): 1024 correlated px act as 271
 # Sides of the squares of pixels whose means are looked at. In the middle light they show 1.00, 1.00, 1.01 times the
-# noise variance of a simulated sensor in linear files, .11, .66, 1.18 in JPEG of quality 95, .05, .42, 1.10 in quality
-# 90, .01, .29, .97 in a Bayer mosaic that is interpolated bilinearly.
+# noise variance of a simulated sensor in linear files, 0.11, 0.66, 1.18 in JPEG of quality 95, 0.05, 0.42, 1.10 in
+# quality 90, 0.01, 0.29, 0.97 in a Bayer mosaic that is interpolated bilinearly.
 _SCALES_PX = (1, 2, 4)
 _CLEARLY_MORE = 1.2  # noise by which a coarser scale must exceed the finer ones, which know it better; chosen by hand
 _MIDDLE_LIGHT = 0.5  # of the white level, where scales are compared
@@ -34,16 +34,13 @@ _RATIO_SAMPLES = 16  # along each side of a block; chosen by hand
 _RATIO_PERCENTILE = 5  # of the blocks' least eigenvalues: other blocks hold detail; chosen by hand
 _OF_EXPECTED_NOISE = 0.61  # that percentile where there is white noise of the expected variance alone; simulated
 _CLEAR_RATIO = 1.5  # a smaller one is none: it may be the scatter of blocks, or detail in several colours
-_DEVELOPED = 0.5  # ratio at the finest scale of files that lack noise there: JPEG has .1, an interpolated mosaic .02
+_DEVELOPED = 0.5  # ratio at the finest scale of files that lack noise there: JPEG has 0.1, an interpolated mosaic 0.02
 _FEWEST_OF_RATIO = 30  # blocks, for a percentile; chosen by hand
 _MOST_ELECTRONS = 1e7  # no pixel holds more: quieter pictures were computed, not photographed
 
 
 def photon_noise_variance(image: np.ndarray, *, full_well_electrons: float, read_noise_electrons: float) -> np.ndarray:
-    """Compute the variance of shot and read noise; (H, W, 3) float32, (white level)^2.
-
-    The image is linear, 1.0 = white level. The full well is at white level, the read noise a standard deviation.
-    """
+    """Compute the variance of shot and read noise; (H, W, 3) float32, (white level)^2."""
     # Smoothed first: the variance of a noisy pixel would correlate with its noise. Sigma chosen by hand.
     signal = np.maximum(cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), 2.0), 0)
     return signal / np.float32(full_well_electrons) + np.float32((read_noise_electrons / full_well_electrons) ** 2)
@@ -55,12 +52,7 @@ def fine_structure(image: np.ndarray) -> np.ndarray:
 
 
 def estimate_noise_variance(image: np.ndarray) -> np.ndarray:
-    """Estimate the noise variance per channel from the image alone, without a noise model.
-
-    From the median of the absolute Immerkaer response over the frame: texture raises a minority of the pixels only.
-
-    ``image`` (H, W, 3) float, linear. Returns (H, W, 3) float32, constant over the frame, (white level)^2.
-    """
+    """Estimate the noise variance per channel from the median Immerkaer response; (H, W, 3), constant."""
     image = np.asarray(image, np.float32)
     response = fine_structure(image).reshape(-1, image.shape[2])
     response = response[np.isfinite(response).all(axis=1)]
@@ -71,11 +63,7 @@ def estimate_noise_variance(image: np.ndarray) -> np.ndarray:
 
 
 def noise_samples(image: np.ndarray, *, scale_px: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Compute brightness and noise variance of blocks and channels, (B,) float64 each, without clipped ones.
-
-    ``scale_px``: side of the squares of pixels that are averaged first; the variance is that of the pixels of white
-    noise whose averages have what is found.
-    """
+    """Return brightness and white-noise variance of unclipped blocks of ``scale_px`` means, (B,) each."""
     if min(image.shape[:2]) < scale_px * _BLOCK_SAMPLES:
         return np.empty(0), np.empty(0)
     image = _squares(np.asarray(image, np.float32), scale_px).mean(axis=(1, 3))
@@ -98,11 +86,7 @@ def _squares(values: np.ndarray, side: int) -> np.ndarray:
 
 
 def photon_noise_of_sheets(sheets: Iterable[np.ndarray]) -> tuple[float, float] | None:
-    """Fit full well and read noise to photographs of even surfaces, (H, W, C) linear; see `fit_photon_noise`.
-
-    Compression and the interpolation of a colour mosaic take noise out of the finest detail alone, which is no measure
-    of the noise in detail of a few pixels: the scale that has most of the noise counts.
-    """
+    """Fit full well and read noise to even surfaces, at the scale with most of the noise."""
     samples: list[list[tuple[np.ndarray, np.ndarray]]] = [[] for _ in _SCALES_PX]
     for sheet in sheets:
         for of_scale, scale in zip(samples, _SCALES_PX, strict=True):
@@ -118,12 +102,7 @@ def photon_noise_of_sheets(sheets: Iterable[np.ndarray]) -> tuple[float, float] 
 
 
 def noise_ratio(image: np.ndarray, variance: np.ndarray) -> float:
-    """Return a photograph's noise variance over the expected one, (H, W, 3); 1 where it is not clearly more.
-
-    A photograph at another ISO than the calibration has other noise. Detail is much alike in the three channels, their
-    noise is not: of the fine structure of a block, in units of the expected noise, the least eigenvalue of the
-    channels' covariance is the noise's.
-    """
+    """Return a photograph's noise variance over the expected one, 1 where it is not clearly more; (H, W, 3)."""
     image = np.asarray(image, np.float32)
     finest = _ratio_at(image, variance, 1)
     # Means of 4 x 4 px show texture, too: they are looked at where finer ones lack noise.
@@ -229,19 +208,6 @@ def snr_db(first: np.ndarray, second: np.ndarray | None = None) -> tuple[np.ndar
 def exposure_to_restore(loss_db: float) -> Exposure:
     """Compute the exposure, as a multiple of the present one, that compensates a loss of SNR; both readings."""
     return Exposure(10 ** (loss_db / 10), 10 ** (loss_db / 20))
-
-
-def expected_loss_db(transmission: float, *, read_variance_ratio: float = 0.0) -> float:
-    """Compute the loss of SNR by an aperture from its transmission.
-
-    ``transmission``: fraction of the light, (0, 1]; ``read_variance_ratio``: variance of the read noise over that of
-    the shot noise at full light. Returns float, dB: 10 log10(1 / T) for shot noise alone.
-    """
-    if not 0 < transmission <= 1 or read_variance_ratio < 0:
-        raise InputError("transmission must lie in (0, 1] and the ratio of read noise must be >= 0")
-    open_snr = 1 / np.sqrt(1 + read_variance_ratio)
-    coded_snr = transmission / np.sqrt(transmission + read_variance_ratio)
-    return float(20 * np.log10(open_snr / coded_snr))
 
 
 def _central(shape: tuple[int, ...]) -> np.ndarray:

@@ -40,12 +40,7 @@ _REWEIGHTINGS = 30
 
 
 def residual_displacement(aligned: np.ndarray, disparity_px: np.ndarray, *, surfaces: bool = True) -> np.ndarray:
-    """Measure the smooth displacement of red and blue from green that remains.
-
-    ``aligned`` (H, W, 3) float32, linear RGB: from `align_channels`; ``disparity_px`` (H, W) float32, px, no NaN;
-    ``surfaces``: average over single surfaces too, not only over the whole frame. Returns (3, 2, H, W) float32, px, x
-    before y, to be added to the displacement of channel k; zero without texture.
-    """
+    """Measure the smooth displacement of red and blue from green that remains; (3, 2, H, W) px, 0 for green."""
     height, width = disparity_px.shape
     tone = np.maximum(np.asarray(aligned, np.float32), 0)
     tone = np.asarray(cv2.GaussianBlur(np.sqrt(tone, out=tone), (0, 0), _SMOOTH_PX))
@@ -99,12 +94,7 @@ def _add_smooth(out: np.ndarray, coefficients: np.ndarray, x: np.ndarray, y: np.
 def by_surface(
     places_px: np.ndarray, displacement_px: np.ndarray, error_px: np.ndarray, disparity_px: np.ndarray
 ) -> np.ndarray:
-    """Average windows over cells of image position and disparity, smoothly from cell to cell.
-
-    ``places_px`` (N, 2) int, (x, y); ``displacement_px`` (N, 2) float, (x, y); ``error_px`` (N,) float;
-    ``disparity_px`` (H, W) float32, no NaN. Returns (2, H, W) float32, px, x before y; near zero where there are no
-    windows.
-    """
+    """Average windows over cells of image position and disparity, smoothly; (2, H, W) float32, px."""
     low, height, width = float(disparity_px.min()), *disparity_px.shape
     depth = (disparity_px - np.float32(low)) / np.float32(_CELL_DISPARITY) + 1
     shape = (int(height / _CELL_PX) + 3, int(width / _CELL_PX) + 3, int(depth.max()) + 3)
@@ -125,12 +115,7 @@ def by_surface(
 
 
 def registered_windows(moved: np.ndarray, fixed: np.ndarray, stride: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Register two pictures, window by window where they have texture in both directions.
-
-    ``moved``, ``fixed`` (H, W) float32; ``stride`` int, px: between windows. Returns ``places_px`` (N, 2) int, (x, y):
-    centres of the windows; ``displacement_px`` (N, 2) float64, (x, y): ``moved`` shows at x + displacement what
-    ``fixed`` shows at x; ``error_px`` (N,) float64: standard error of each.
-    """
+    """Register textured windows: centres (N, 2), displacement (N, 2) of ``moved`` and its error (N,), px."""
     height, width = fixed.shape
     side = (2 * _HALF + 1, 2 * _HALF + 1)
     places, found, errors = [], [], []
@@ -160,11 +145,7 @@ def _least_gradient2(wide: np.ndarray) -> float:
 
 
 def standard_error(moved: np.ndarray, fixed: np.ndarray) -> float:
-    """Estimate the standard error, px, of a window's displacement from its residuals, both (h, w) registered to a px.
-
-    An affine change of tone and a small shift are fitted by least squares; residuals may be correlated within each of
-    3 x 3 parts (clustered standard errors), whatever their cause: noise, a colour in one channel only, two depths.
-    """
+    """Estimate a window's displacement error, px, with residuals correlated within each of 3 x 3 parts."""
     gy, gx = np.gradient(fixed.astype(float))
     rows = np.stack([np.ones(fixed.shape), fixed - fixed.mean(), gx, gy])
     normal = np.linalg.inv(np.einsum("ayx,byx->ab", rows, rows) + 1e-12 * np.eye(4))

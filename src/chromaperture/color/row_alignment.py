@@ -1,12 +1,8 @@
 """What each channel sees, and alignment of channels that are displaced horizontally only.
 
-Every channel looks past the edges of near things from its own side. Seen from the pupil's centre, a strip of the
-background is therefore missing in that channel. Its colour is predicted from the channels that do see it: within a
-surface the colours of a small neighbourhood lie on a line, so one channel is an affine function of another.
-
-`aligned_bands` works one row after the other: a row stays in the cache.
-
-`shift_along_rows`, `visible_from` and `fill_hidden` compute the same one after the other, of
+Every channel looks past the edges of near things from its own side, so that a strip of the background is missing in it.
+Its colour is predicted from the channels that see it: within a surface the colours of a small neighbourhood lie on a
+line. `aligned_bands` does row by row, in the cache, what `shift_along_rows`, `visible_from` and `fill_hidden` do for
 the whole picture.
 """
 
@@ -31,11 +27,7 @@ RIDGE = np.float32(1e-4)  # variance of a uniform neighbourhood, (white level)^2
 
 
 def visible_from(disparity_px: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Find the pixels of the centre view that a channel sees, by a depth buffer in the channel's view.
-
-    ``disparity_px`` (H, W) float32, px, no NaN; the smaller is the nearer; ``direction`` (2,) float: displacement (x,
-    y) of the channel per px of disparity. Returns (H, W) bool.
-    """
+    """Find the pixels of the centre view that a channel sees, by a depth buffer in its view; (H, W) bool."""
     ux, uy = np.float32(direction[0]), np.float32(direction[1])
     if math.hypot(float(direction[0]), float(direction[1])) < STILL:
         return np.ones(disparity_px.shape, bool)
@@ -151,10 +143,7 @@ A = np.float32(-0.75)  # slope of the cubic at 1, as in OpenCV: `cv2.remap` give
 
 
 def shift_along_rows(image: np.ndarray, displacement_px: np.ndarray, channel: int, out: np.ndarray) -> None:
-    """Sample a channel at x + displacement by cubic interpolation into ``out``, with replicated borders.
-
-    ``image`` (H, W, C) float32; ``displacement_px`` (H, W) float32, finite; ``out`` (H, W, C) float32.
-    """
+    """Sample a channel at x + displacement by cubic interpolation into ``out``, with replicated borders."""
     displacement = np.ascontiguousarray(displacement_px)
     in_parallel(lambda _, first, last: _shift(image, displacement, channel, out, first, last), len(displacement))
 

@@ -16,10 +16,7 @@ _LEAST = 1e-3  # of a pixel: what OpenCV's area averages leave out
 
 
 def mark_cut_off(image: np.ndarray, small: np.ndarray) -> None:
-    """Make a reduced pixel NaN where a pixel of the picture below it is saturated.
-
-    ``image`` (H, W, 3) float32, linear RGB; ``small`` (h, w, 3) float32: its area averages.
-    """
+    """Make a reduced pixel NaN where a pixel of the picture below it is saturated."""
     below = [_pixels_below(*sides) for sides in zip(image.shape[:2], small.shape[:2], strict=True)]
     in_parallel(lambda _, first, last: _mark(image, small, *below, first, last), len(small))
 

@@ -55,21 +55,14 @@ def transparency(coded: np.ndarray, bare: np.ndarray) -> np.ndarray:
 
 
 def light_efficiency(transmission: np.ndarray) -> LightEfficiency:
-    """Summarise a transparency map as in Table 1 and Figure 11.
-
-    ``transmission`` (H, W, 3) float: from `transparency`.
-    """
+    """Summarise a transparency map, of `transparency`, as in Table 1 and Figure 11."""
     flat = np.asarray(transmission, float).reshape(-1, 3)
     mean = flat.mean(axis=0)
     return LightEfficiency(flat.min(axis=0), flat.max(axis=0), mean, float(mean.mean()), float(mean @ LUMINANCE))
 
 
 def flat_field(sheet: np.ndarray) -> np.ndarray:
-    """Compute the shading of an evenly lit white sheet relative to its middle, per channel; (H, W, 3) float32.
-
-    Rims of the lens cut a coded pupil from one side, so each channel falls off towards another corner: one correction
-    for all three would tint the picture. Raises InputError: the sheet is saturated, or dark somewhere.
-    """
+    """Return the shading of a white sheet relative to its middle, for each channel, as rims cut a coded pupil."""
     if is_saturated(sheet):
         raise InputError("the white sheet is saturated: photograph it again at a shorter exposure")
     smooth = _smooth(np.asarray(sheet, np.float32))
@@ -81,10 +74,7 @@ def flat_field(sheet: np.ndarray) -> np.ndarray:
 
 
 def compensate_vignetting(image: np.ndarray, shading: np.ndarray) -> np.ndarray:
-    """Divide each channel of an image by its own shading, from `flat_field`; (H, W, 3) float32.
-
-    For restored pictures, not before matching: the gains amplify the noise of the corners.
-    """
+    """Divide the channels of a restored picture by their shading, which amplifies the corners' noise."""
     if image.shape != shading.shape:
         raise InputError(f"image {image.shape} and white sheet {shading.shape} differ in size: they are of one camera")
     return np.asarray(image, np.float32) / np.asarray(shading, np.float32)

@@ -50,10 +50,7 @@ def unmixing_rows(mixing: np.ndarray, view_count: int) -> np.ndarray:
 
 
 def own_film_unmixing(aperture: Aperture) -> np.ndarray:
-    """Compute the unmixing rows of the aperture's own film under white light; (K, 3) float64.
-
-    Raises InputError: the design has no parallax (a symmetric or an open pupil).
-    """
+    """Compute the unmixing rows of the aperture's own film under white light; (K, 3) float64."""
     if not aperture.views:
         raise InputError(
             f"{aperture.title} shifts no channel against another, so it has no disparity to measure; "
@@ -69,11 +66,7 @@ def view_reach(aperture: Aperture) -> float:
 
 
 def pure_channels(aperture: Aperture) -> np.ndarray | None:
-    """Select channels that receive light from one filter each, (K, 3) of 0 and 1 by view; None where a view has none.
-
-    Red passes only the yellow half and blue only the cyan one: such channels are views themselves, without the noise of
-    unmixing and without the other half's crosstalk that a coloured surface leaves in an unmixed view.
-    """
+    """Select channels of one filter's light by view, (K, 3) of 0 and 1, free of crosstalk; None without them."""
     light = np.array([aperture.remainder.transmission, *(part.filter.transmission for part in aperture.parts)])
     names = [None, *(part.filter.name for part in aperture.parts)]
     rows = []

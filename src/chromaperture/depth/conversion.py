@@ -91,10 +91,7 @@ class DepthModel:
 
 
 def disparity_to_inverse_depth(disparity_px: Map, model: DepthModel) -> np.ndarray:
-    """Compute 1 / z, z from the entrance pupil; float64, 1/mm, 0 at infinity, negative beyond, NaN unknown.
-
-    Average inverse depth, not depth: its error is as symmetric as that of the disparity.
-    """
+    """Compute 1 / z from the entrance pupil, 1/mm, NaN unknown; its error is symmetric, unlike depth's."""
     disparity = _map(disparity_px, model)
     if model.nonlinearity is not None:
         disparity = model.nonlinearity.linear(disparity)
@@ -150,10 +147,7 @@ def depth_and_sigma(
 
 
 def depth_sigma(z_mm: Map, model: DepthModel, sigma_px: Map) -> np.ndarray:
-    """Propagate the errors of d, A, B, delta and the nonlinearity to the depth: first order, with correlations.
-
-    ``z_mm`` (H, W) float, mm from the entrance pupil; ``sigma_px`` (H, W) float, px. Returns (H, W) float64, mm.
-    """
+    """Propagate errors of d, A, B, delta and the nonlinearity to depth; first order, with correlations."""
     z = np.asarray(z_mm, float)
     c = np.asarray(model.covariance, float)
     by_b = z / model.scale_px_mm  # depth = B / (A - d) + delta: d depth / dB = z / B,
@@ -259,10 +253,7 @@ class PaperParameters:
 
 
 def paper_to_model(parameters: PaperParameters, *, pixel_pitch_mm: float) -> DepthModel:
-    """Return A, B and delta, exactly known.
-
-    Raises InputError: the focus surface is closer to the entrance pupil than the focal length.
-    """
+    """Return A, B and delta, exactly known; raises InputError for a focus within the focal length."""
     z_focus = np.asarray(parameters.in_focus_mm, float) - parameters.sensor_to_pupil_mm
     shrink = 1 - parameters.focal_length_mm / z_focus  # f / F, Eq. (2); 1 for focus at infinity
     if np.any(shrink <= 0):
@@ -275,10 +266,7 @@ def paper_to_model(parameters: PaperParameters, *, pixel_pitch_mm: float) -> Dep
 
 
 def model_to_paper(model: DepthModel, *, image_distance_mm: float, pixel_pitch_mm: float) -> PaperParameters:
-    """Return the paper's parameters of a depth curve.
-
-    ``image_distance_mm``: F, from the pinhole calibration: focal length in px times the pixel pitch.
-    """
+    """Return the paper's parameters of a depth curve; F is the focal length in px times the pixel pitch."""
     z_focus = focus_from_pupil(model.infinity_disparity_px, model.scale_px_mm)
     return PaperParameters(
         in_focus_mm=z_focus + model.sensor_to_pupil_mm,

@@ -14,10 +14,7 @@ PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # upper triangle of th
 
 
 class CurveTable(NamedTuple):
-    """A nonlinearity: range and Chebyshev series of its slope, range and table of its inverse, all px.
-
-    ``errors`` (N, 4) are `Nonlinearity.errors` at the table's entries; empty where the curve is exactly known.
-    """
+    """A nonlinearity, px: range and series of its slope, range and table of its inverse, ``errors`` (N, 4)."""
 
     low_px: float
     high_px: float
@@ -66,11 +63,7 @@ def field_maps(
 def depth_and_sigma(
     disparity_px: np.ndarray, sigma_px: np.ndarray, fields: FieldMaps, curve: CurveTable, *, max_depth_mm: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute depth and its standard deviation, two (H, W) float32, mm; NaN unknown.
-
-    ``disparity_px`` (H, W) float; ``sigma_px`` (H, W) or (1, 1) float; ``fields``, ``curve``: from `field_maps` and
-    `curve_table`.
-    """
+    """Compute depth and its standard deviation, two (H, W) float32, mm; NaN unknown."""
     depth_mm, sigma_mm = (np.empty(disparity_px.shape, np.float32) for _ in range(2))
 
     def rows(thread: int, first: int, last: int) -> None:

@@ -123,11 +123,7 @@ class DepthField:
         )
 
     def model(self, width_px: int, height_px: int, rows: slice | None = None) -> DepthModel:
-        """Evaluate the fields: (height, width) maps, or numbers where the fields are constant.
-
-        ``width_px``, ``height_px``: of the frame; ``rows``: of a band of the frame, from ``start`` to before ``stop``:
-        the maps are of its rows only.
-        """
+        """Evaluate the fields, as maps of the frame or of some rows, or as numbers where they are constant."""
         if len(self.scale_px_mm) == 1:
             return self.on_axis(width_px, height_px)
         size, band = (width_px, height_px), np.arange(height_px)[rows or slice(None)]
@@ -200,10 +196,7 @@ class DepthField:
         return found
 
     def _curve_covariance(self, basis: np.ndarray) -> np.ndarray | None:
-        """Return the covariance of the K coefficients of the nonlinearity with A, B, delta and one another; (K, 3 + K).
-
-        A and B are taken where the polynomials are ``basis``, (N,). None where the K were not fitted with them.
-        """
+        """Return the nonlinearity's covariance with A, B, delta and itself, (K, 3 + K), or None."""
         n = len(basis)
         rows = self.covariance[2 * n + 1 :]
         if not len(rows):
@@ -245,10 +238,7 @@ def _square(coefficients: np.ndarray) -> np.ndarray:
 
 
 def degree_of(count: int) -> int:
-    """Return the total degree of a polynomial in two variables with ``count`` coefficients.
-
-    Raises InputError where no degree has that count.
-    """
+    """Return the total degree of a polynomial in two variables with ``count`` coefficients."""
     degree = round((np.sqrt(8 * count + 1) - 3) / 2)
     if count < 1 or (degree + 1) * (degree + 2) // 2 != count:
         raise InputError(f"{count} coefficients are not a polynomial of total degree 0, 1, 2, ... (1, 3, 6, 10, 15)")
@@ -265,11 +255,7 @@ def polynomials(x: np.ndarray, y: np.ndarray, width_px: int, height_px: int, deg
 
 
 def resized_field(field: DepthField, before_px: tuple[int, int], after_px: tuple[int, int]) -> DepthField:
-    """Return the curves for a picture of another size, (width, height) px, that shows the same frame.
-
-    Disparities count px of the picture's width. Polynomials over the frame are of the centres of its outermost pixels,
-    which move when pixels grow: the polynomials are expanded anew, exactly.
-    """
+    """Return the curves for the frame at another size, (width, height) px, polynomials expanded anew."""
     factor = before_px[0] / after_px[0]  # px before in a px after
     shares = [_share(before, after) for before, after in zip(before_px, after_px, strict=True)]
     change = _substitution(degree_of(len(field.scale_px_mm)), *shares)
@@ -333,12 +319,7 @@ def _local(local: LocalField, factor: float) -> LocalField:
 
 
 def with_scale_error(field: DepthField, relative: float) -> DepthField:
-    """Add a relative error of the disparity, one standard deviation, to the covariance of a curve.
-
-    Disparities that are all wrong by the same factor are those of a curve whose A and B are wrong by that factor: the
-    covariance grows by ``relative^2 c c^T``, c being the coefficients of both. Raises InputError: it is negative or not
-    finite.
-    """
+    """Add a relative error of all disparities alike to a curve's covariance: ``relative^2 c c^T``."""
     if not (np.isfinite(relative) and relative >= 0):
         raise InputError(f"the relative error of the disparity must be 0 or more, got {relative:g}")
     if relative == 0:
@@ -361,10 +342,7 @@ _BAND_PX = 1_000_000  # of a band: 60 MB of curves and their covariances
 def field_to_depth(
     disparity_px: np.ndarray, sigma_px: np.ndarray, field: DepthField, *, max_depth_mm: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute `disparity_to_depth` with the curves of the whole frame, by bands of rows; two (H, W) float32, mm.
-
-    The curves of every pixel and their covariances take 100 bytes a pixel, for a whole frame gigabytes.
-    """
+    """Compute `disparity_to_depth` by bands of rows: curves of every pixel at once take gigabytes."""
     height, width = disparity_px.shape
     step = height if len(field.scale_px_mm) == 1 else max(1, _BAND_PX // width)
     if step >= height:

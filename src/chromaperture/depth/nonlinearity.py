@@ -69,11 +69,7 @@ class Nonlinearity:
         return np.where(inside | np.isnan(linear), 1 + chebyshev.chebval(scaled, self.slope_series()), 1.0)
 
     def errors(self, linear_px: np.ndarray | float, covariance: np.ndarray) -> np.ndarray:
-        """Return the variance of h at disparities and its covariance with A, B and delta; (..., 4).
-
-        ``linear_px`` (...) float, px; ``covariance`` (K, 3 + K) float: of the coefficients with A, B and delta, and
-        with one another.
-        """
+        """Return the variance of h and its covariance with A, B and delta; (..., 4)."""
         terms = chebyshev.chebvander(self._scaled(np.asarray(linear_px, float)), len(self.coefficients) + 1)[..., 2:]
         with_others, own = terms @ covariance[:, :3], ((terms @ covariance[:, 3:]) * terms).sum(axis=-1)
         return np.concatenate([own[..., None], with_others], axis=-1)

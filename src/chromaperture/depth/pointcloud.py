@@ -16,11 +16,7 @@ from chromaperture.system.threads import each_band, in_parallel
 
 @compiled(error_model="numpy")
 def back_project(depth, first_row, rays, pitch, sensor_to_pupil, srgb, before, points, colors):  # type: ignore[no-untyped-def]
-    """Fill in the points of rows from ``first_row`` on: Z = depth - delta, X and Y = Z times the ray.
-
-    ``rays`` is (h, w, 2) float64, x and y at Z = 1 of every ``pitch``-th pixel of the picture, between which rays are
-    linear; ``before`` counts the points of the rows above.
-    """
+    """Fill in the points of rows from ``first_row`` on, along rays linear between every ``pitch``-th pixel."""
     width, columns = depth.shape[1], rays.shape[1]
     across = np.empty((2, columns))  # x and y of the row at Z = 1, at the columns of the grid
     for y in range(len(depth)):
@@ -56,6 +52,7 @@ def interleave(places, colors, vertices):  # type: ignore[no-untyped-def]
 # Rays are linear between pixels so far apart, to within 0.002 px for a wide lens (focal length 500 px, k1 = 0.1).
 RAY_PITCH_PX = 4
 _VERTICES = 1 << 16  # written at once; chosen by hand
+_UNIT = "mm; origin at the entrance pupil, x right, y down, z forward"
 _VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])  # PLY has no padding
 
 
@@ -78,13 +75,7 @@ def depth_to_points(
     distortion: np.ndarray,
     sensor_to_pupil_mm: float,
 ) -> PointCloud:
-    """Back-project every pixel of known depth.
-
-    ``depth_mm`` (H, W) float, mm from the sensor plane, NaN unknown; ``color`` (H, W, 3) float, linear RGB, or uint8,
-    sRGB; ``camera_matrix`` (3, 3) float, px; ``distortion`` (5,) float: OpenCV's k1, k2, p1, p2, k3;
-    ``sensor_to_pupil_mm``: delta; Z = depth - delta, from the entrance pupil. Returns in the order of the pixels, row
-    by row.
-    """
+    """Back-project pixels of known depth, in their order; Z = depth - delta, from the entrance pupil."""
     depth = np.ascontiguousarray(depth_mm, np.float32)
     before = _points_above(depth)
     points, colors = np.empty((before[-1], 3), np.float32), np.empty((before[-1], 3), np.uint8)
@@ -102,11 +93,7 @@ def depth_to_points(
 
 
 def grid_of_rays(shape: tuple[int, ...], matrix: np.ndarray, distortion: np.ndarray) -> np.ndarray:
-    """Return x and y at Z = 1 of every `RAY_PITCH_PX`-th pixel, and of one beyond the last; (h, w, 2) float64.
-
-    ``shape`` (H, W): of the picture; ``matrix`` (3, 3) float, px; ``distortion`` (5,) float: OpenCV's k1, k2, p1, p2,
-    k3.
-    """
+    """Return x and y at Z = 1 of every `RAY_PITCH_PX`-th pixel, and of one beyond the last; (h, w, 2)."""
     down, across = (np.arange(0, side + RAY_PITCH_PX, RAY_PITCH_PX, dtype=float) for side in shape)
     pixels = np.stack(np.meshgrid(across, down), axis=-1)
     return cv2.undistortPoints(pixels.reshape(-1, 1, 2), matrix, distortion).reshape(pixels.shape)
@@ -132,14 +119,10 @@ def write_depth_ply(
     distortion: np.ndarray,
     sensor_to_pupil_mm: float,
 ) -> None:
-    """Write the points of a depth map as `write_ply` does, without all of them in memory.
-
-    Parameters are those of `depth_to_points`; ``srgb`` is (H, W, 3) uint8. Bands of rows are written by several threads
-    at once, each where it belongs.
-    """
+    """Write the points of `depth_to_points` as `write_ply` does, in bands of rows by several threads."""
     path, before = Path(path), _points_above(depth_mm)
     rays = grid_of_rays(depth_mm.shape, np.asarray(camera_matrix, float), np.asarray(distortion, float))
-    header, delta = _ply_header(int(before[-1])), float(sensor_to_pupil_mm)
+    header, delta = ply_header(int(before[-1])), float(sensor_to_pupil_mm)
     with path.open("wb") as file:
         file.write(header)
 
@@ -166,23 +149,22 @@ def write_ply(path: str | Path, cloud: PointCloud) -> None:
     cloud : PointCloud
         Of `depth_to_points` or `DepthFrame.points`.
     """
-    vertices = np.empty(_VERTICES, _VERTEX)
     with Path(path).open("wb") as file:
-        file.write(_ply_header(len(cloud.points_mm)))
+        file.write(ply_header(len(cloud.points_mm)))
         for start in range(0, len(cloud.points_mm), _VERTICES):
             points, colors = cloud.points_mm[start : start + _VERTICES], cloud.colors[start : start + _VERTICES]
-            vertices["xyz"][: len(points)], vertices["rgb"][: len(points)] = points, colors
-            file.write(vertices[: len(points)].data)
+            file.write(ply_vertices(points, colors).data)
 
 
-def _ply_header(count: int) -> bytes:
+def ply_header(count: int, unit: str = _UNIT, *more: str) -> bytes:
+    """Return the header of a binary PLY of coloured vertices; ``more`` are lines of what follows them."""
     names = [f"property float {n}" for n in "xyz"] + [f"property uchar {n}" for n in ("red", "green", "blue")]
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        "comment unit: mm; origin at the entrance pupil, x right, y down, z forward",
-        f"element vertex {count}",
-        *names,
-        "end_header\n",
-    ]
-    return "\n".join(lines).encode("ascii")
+    head = ["ply", "format binary_little_endian 1.0", f"comment unit: {unit}", f"element vertex {count}"]
+    return "\n".join([*head, *names, *more, "end_header\n"]).encode("ascii")
+
+
+def ply_vertices(points: np.ndarray, colors: np.ndarray) -> np.ndarray:
+    """Return points and their colours as a PLY file stores them."""
+    vertices = np.empty(len(points), _VERTEX)
+    vertices["xyz"], vertices["rgb"] = points, colors
+    return vertices

@@ -27,13 +27,7 @@ _OUTLIER_PX, _OUTLIER_WEIGHT = 0.5, 0.05  # distance from the median of 5 x 5 px
 def filter_disparity(
     disparity_px: np.ndarray, sigma_px: np.ndarray | None, guide: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Fill and smooth a disparity map along the surfaces of the picture.
-
-    ``disparity_px`` (H, W) float, px; NaN unknown; ``sigma_px`` (H, W) float, px, or None: its standard deviation;
-    equal for all where None; ``guide`` (H, W, 3) float, linear RGB, channels aligned. Returns ``disparity_px`` (H, W)
-    float32, no NaN; ``scatter_px`` (H, W) float32: standard deviation of the disparities averaged into each value;
-    large where two depths compete. Raises InputError: the disparity is unknown everywhere, or the sizes differ.
-    """
+    """Fill and smooth a disparity along the surfaces of the picture; returns it and its local scatter."""
     d = np.asarray(disparity_px, np.float32)
     if guide.shape[:2] != d.shape:
         raise InputError(f"disparity {d.shape} and image {guide.shape[:2]} differ in size: of two photographs")

@@ -36,12 +36,7 @@ class Blur(Protocol):
     """Transfer functions of the three channels at one blur radius and one frame position."""
 
     def __call__(self, radius_px: float, shape: Size, *, frame_position: Position | None = None) -> np.ndarray:
-        """Return the transfer functions at the frequencies of `numpy.fft.rfft2`.
-
-        ``radius_px``: signed displacement of the pupil's rim, + beyond focus; ``shape`` (int, int): size of the picture
-        it multiplies; ``frame_position`` (x, y): -1 to 1 from border to border; the middle when absent. Returns (3, h,
-        w // 2 + 1) complex64, with phases relative to the view of the pupil's centre.
-        """
+        """Return the transfer functions, as of `numpy.fft.rfft2`, of a signed blur radius at a frame position."""
         ...
 
 
@@ -108,10 +103,7 @@ def blurred_layers(
 
 
 class LayeredModel:
-    """Blur of one picture by its depth.
-
-    ``radius_px`` (H, W) float32: signed blur radius of every pixel; no NaN.
-    """
+    """Blur of one picture by its depth, as the signed blur radius of every pixel."""
 
     def __init__(self, radius_px: np.ndarray, blur: Blur) -> None:
         self.shape = (int(radius_px.shape[0]), int(radius_px.shape[1]))
@@ -159,11 +151,7 @@ _STEP_PX, _GROWTH = 0.5, 0.10
 
 
 def layer_radii(radius_px: np.ndarray, *, growth: float = _GROWTH) -> np.ndarray:
-    """Choose blur radii that cover the range of a picture, fine near focus and coarser beyond.
-
-    ``radius_px`` (H, W) float32, px, no NaN; ``growth``: distance of two layers, of their radius; at least half a px.
-    Returns (L,) float64, px, rising; one of them is 0 unless the whole picture lies on one side of focus.
-    """
+    """Choose rising blur radii, px, fine near focus and apart by ``growth`` beyond; 0 where it is crossed."""
     low, high = float(radius_px.min()), float(radius_px.max())
     sides = []
     for reach in (max(-low, 0.0), max(high, 0.0)):

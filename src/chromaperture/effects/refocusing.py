@@ -1,14 +1,9 @@
 """Compute the photograph of another lens: other focus, f-number or shape of the pupil.
 
-The picture is divided into layers of equal new blur, near to far in the scene. Each is blurred with its pixel weights,
-
-    I = sum_l V_l (a_l J_l * k_l) / sum_l V_l (a_l * k_l),    V_l = 1 - sum of a_m * k_m over clearly nearer layers m,
-
-so that a sharp edge occludes the blurred background, and the background shows through a blurred edge. What near
-surfaces hide is extrapolated from the far side of the edge. All in linear light: highlights become spots.
-
-A large picture is computed tile by tile, each with as much around it as can reach into it: memory stays that of a tile,
-beside the pictures that come in and go out.
+Layers of equal new blur, near to far, are blurred with their pixel weights, I = sum_l V_l (a_l J_l * k_l) / sum_l V_l
+(a_l * k_l), V_l = 1 - sum of a_m * k_m over clearly nearer layers m, in linear light: a sharp edge occludes the blurred
+background, which shows through a blurred edge. What near surfaces hide is extrapolated. Large pictures are computed
+tile by tile.
 """
 
 from __future__ import annotations
@@ -219,11 +214,7 @@ def background_weight(radius_px: np.ndarray, focus_radius_px: float) -> np.ndarr
 
 
 def desaturate_background(color: np.ndarray, radius_px: np.ndarray, focus_radius_px: float) -> np.ndarray:
-    """Turn the background grey at its own luminance.
-
-    ``color`` (H, W, 3) float32, linear RGB; ``radius_px`` (H, W) float32, px: signed blur radius of the capture, +
-    beyond its focus; ``focus_radius_px``: that of the surface that keeps its colour. Returns (H, W, 3) float32.
-    """
+    """Turn what lies beyond a surface's signed blur radius grey at its own luminance; (H, W, 3)."""
     grey = (color @ _LUMINANCE)[..., None]
     weight = background_weight(radius_px, focus_radius_px)[..., None]
     return np.asarray(color + weight * (grey - color), np.float32)
@@ -255,11 +246,7 @@ SUFFIXES = (".gif", ".mp4")
 def sweep(
     color: np.ndarray, radius_px: np.ndarray, focus: Focus, *, frames: int = 24, compositor: Compositor | None = None
 ) -> Iterator[np.ndarray]:
-    """Yield pictures focused from near to far.
-
-    ``color``, ``radius_px``: as `refocus` takes them; ``focus``: pupil and strength; its focus is replaced;
-    ``compositor``: as `refocus` takes it. Yields (H, W, 3) uint8, sRGB.
-    """
+    """Yield pictures, (H, W, 3) uint8 sRGB, focused from near to far with a pupil and its strength."""
     if frames < 2:
         raise InputError(f"a sweep needs at least 2 frames, got {frames}")
     near, far = np.percentile(radius_px, (2, 98))  # without outliers
@@ -311,10 +298,7 @@ class DeviceCompositor:
         hidden: np.ndarray,
         layers: Sequence[RefocusLayer],
     ) -> np.ndarray | None:
-        """Return the picture, see `RefocusChain.composite`; None where the CPU has to do it.
-
-        Raises DeviceError, OutOfMemoryError where the device was asked for by name.
-        """
+        """Return the picture, see `RefocusChain.composite`; None where the CPU has to do it."""
         device, size = self.behind.on_gpu.device, (hidden.shape[0], hidden.shape[1])
         if self.behind.has_failed or 4 * _NUMBERS * hidden.size > device.largest_bytes:
             return None
@@ -341,12 +325,7 @@ _BLACK = 0.02  # linear light of the brightest pixel below which a picture count
 
 
 def bokeh_mask(name: str) -> np.ndarray:
-    """Return the transmission of the pupil used for refocusing.
-
-    ``name``: ``disc``, ``hex``, or the path of a picture file, light on dark; its alpha channel multiplies the light.
-    Returns (256, 256) float32 in [0, 1] over [-1, 1]^2 in pupil radii. Raises InputError: no such shape or file, or the
-    picture is black.
-    """
+    """Return the transmission, (256, 256) over [-1, 1]^2, of ``disc``, ``hex`` or a picture file."""
     axis = (np.arange(_GRID, dtype=np.float32) + 0.5) * 2 / _GRID - 1
     x, y = np.meshgrid(axis, axis)
     if name == "disc":
@@ -376,11 +355,7 @@ def _from_picture(path: Path) -> np.ndarray:
 
 
 def bokeh_kernel(mask: np.ndarray, radius_px: float) -> np.ndarray:
-    """Return the pupil scaled to a blur radius; (s, s) float32, unit sum, s odd.
-
-    ``mask`` (n, n) float32: from `bokeh_mask`; ``radius_px``: signed: upright beyond the focus, rotated by 180 degrees
-    in front of it.
-    """
+    """Return the pupil scaled to a signed blur radius, turned by half in front of the focus; odd, unit sum."""
     return _kernel(mask.tobytes(), mask.shape[0], round(float(radius_px), 3))
 
 

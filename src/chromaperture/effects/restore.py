@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations, pairwise, product
 from typing import Literal, get_args
@@ -115,11 +115,7 @@ def restore(
 def _aligned(
     balanced: np.ndarray, disparity_px: np.ndarray, sigma_px: np.ndarray | None, camera: CodedApertureCamera
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Align the channels; returns the picture, the blur radius and its standard deviation.
-
-    Each alignment samples the capture itself, so that no pixel is interpolated twice: a coarse one guides the filter of
-    the disparity, registration measures what the second leaves, and the result takes account of it.
-    """
+    """Align the channels by the capture's own samples, twice; returns picture, blur radius and its error."""
     cal, quality = camera.calibration, camera.config.quality
     shifts, scale = channel_shifts(cal, quality), np.float32(radius_per_disparity(cal, quality))
     lens, radius = camera.alignment.lens_shift, camera.alignment.blur_radius_px(disparity_px)
@@ -165,11 +161,18 @@ def _align_bands(
     return color
 
 
-def fitted_settings(reach: float, *, reweightings: int) -> SharpenConfig:
-    """Return the settings for a fitted blur, by its reach: half disparity over the radius of the blur.
+def brightened(picture: SharpPicture) -> SharpPicture:
+    """Scale a restored picture so that its brightest 0.2 % lie just below white."""
+    return replace(picture, color=picture.color * float(0.95 / max(np.percentile(picture.color, 99.8), 1e-6)))
 
-    The blur radius follows from the disparity: the closer the views of a design, the less exactly.
-    """
+
+def radius_at(picture: SharpPicture, x: int, y: int) -> float:
+    """Return the capture's blur radius at a pixel: the median of a window of 7 px."""
+    return float(np.median(picture.radius_px[max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4]))
+
+
+def fitted_settings(reach: float, *, reweightings: int) -> SharpenConfig:
+    """Return the settings for a fitted blur: the smaller its reach, the less exact is the blur radius."""
     error = _LAYER_ERROR_PX / reach
     return SharpenConfig(
         model_error=float(np.clip(error, FITTED_ERROR, UNFITTED_ERROR)),
@@ -179,10 +182,7 @@ def fitted_settings(reach: float, *, reweightings: int) -> SharpenConfig:
 
 
 def focus_radius(camera: CodedApertureCamera, focus_mm: float) -> float:
-    """Return the blur radius, px, on the axis of an object at a distance from the sensor plane.
-
-    Raises InputError: the camera was never calibrated, or the distance lies behind its entrance pupil.
-    """
+    """Return the blur radius, px, on the axis of an object at a distance from the sensor plane."""
     cal, quality = camera.calibration, camera.config.quality
     model = cal.on_axis(quality)
     if not focus_mm > float(model.sensor_to_pupil_mm):
@@ -196,12 +196,7 @@ Restorer = Callable[[tuple[slice, slice], tuple[float, float]], np.ndarray]
 
 
 def by_tiles(shape: tuple[int, int], restore: Restorer, *, tile_px: int, overlap_px: int) -> np.ndarray:
-    """Restore tile by tile and blend the overlaps.
-
-    ``shape`` (int, int); ``restore``: called with a tile and the frame position of its centre, (x, y) from -1 to 1;
-    returns (h, w, 3); ``tile_px``, ``overlap_px``: over a tile the blur counts as constant; the overlap should be as
-    wide as its kernel. Returns (H, W, 3) float32.
-    """
+    """Restore by tiles, given their place and frame position, over which blur is constant; blend the overlaps."""
     total, weights = np.zeros((*shape, 3), np.float32), np.zeros((*shape, 1), np.float32)
     for rows, columns in _tiles(shape, tile_px, overlap_px):
         middle = ((columns.start + columns.stop) / shape[1] - 1, (rows.start + rows.stop) / shape[0] - 1)
@@ -237,10 +232,7 @@ _MAX_LOSS = 0.03  # of correlation. On bench50 a scene's own disparity gains 0.0
 
 
 def channel_agreement(color: np.ndarray) -> float:
-    """Return the local correlation of the channels, whatever its sign, weighted by their contrast; 0 to 1.
-
-    ``color`` (H, W, 3) float32, linear RGB.
-    """
+    """Return the local correlation of the channels, whatever its sign, weighted by their contrast; 0 to 1."""
     correlated = contrast = 0.0
     for band in _bands(*color.shape[:2]):
         tone = np.sqrt(np.maximum(np.asarray(color[band], np.float32), 0))
@@ -261,11 +253,7 @@ def _bands(height: int, width: int) -> list[slice]:
 
 
 def check_same_photograph(image: np.ndarray, aligned: np.ndarray) -> None:
-    """Reject a disparity that moves the channels farther apart.
-
-    ``image``, ``aligned`` (H, W, 3) float32, linear RGB: channels as captured, and moved by the disparity. Raises
-    InputError: the channels correlate clearly less once they are aligned.
-    """
+    """Reject a disparity by which the channels correlate clearly less than they did as captured."""
     if channel_agreement(aligned) < channel_agreement(image) - _MAX_LOSS:
         raise InputError(
             "this disparity moves the photograph's channels farther apart instead of together: it is of another "

@@ -95,13 +95,7 @@ class Tint:
 
 
 def measure_tint(image: np.ndarray) -> Tint | None:
-    """Fit a plane to the logarithms of the channel ratios over a grid of cells.
-
-    In the stop, every image position sees the whole filter. At a distance from it, off-axis positions see the filter
-    displaced, so that one colour dominates on one side of the frame and the other colour on the other side.
-
-    ``image`` (H, W, 3) float, linear RGB. Returns Tint, or None where fewer than half of the cells can be used.
-    """
+    """Fit a plane to the logarithms of the channel ratios, which a film off the stop tilts; None where unknown."""
     height, width = image.shape[:2]
     rows = np.array_split(np.arange(height), _CELLS[0])
     columns = np.array_split(np.arange(width), _CELLS[1])

@@ -27,7 +27,7 @@ from chromaperture.system.robust import MEDIAN_INEFFICIENCY, robust_sigma
 
 _NAME = "chroma siting"
 _WHERE = {"centre": "in the middle", "left": "at the left", "top-left": "at the top left"}
-_TOLERANCE_PX = 0.15  # sitings are half a pixel apart; codecs and parallax of 3 px leave .06
+_TOLERANCE_PX = 0.15  # sitings are half a pixel apart; codecs and parallax of 3 px leave 0.06
 _MOST_SIGMA_PX = 0.05  # three of them are the tolerance
 _SHOWN_MM = 1000.0  # distance at which the error is told, where the camera's range holds it
 _LEAST_CONTRAST = 0.4  # of Y/B - Y/R: half a pixel of chroma is then 0.2 px of R against B
@@ -40,11 +40,7 @@ _NOTHING = (np.nan, np.nan, np.nan)
 
 
 class ChromaError(NamedTuple):
-    """By how far chroma lies beside the place that it is taken for: (x, y), px of luma, and the standard error.
-
-    ``contrast`` is Y/B - Y/R of the coloured print less that of the neutral one, in so many ``windows`` where both have
-    texture. What is not known is NaN.
-    """
+    """By how far chroma lies beside its place, (x, y) px of luma, and its error; ``contrast`` of the prints."""
 
     error_px: np.ndarray
     sigma_px: np.ndarray
@@ -82,10 +78,7 @@ def check_siting(neutral: Path, coloured: Path, calibration: Calibration) -> Che
 
 
 def siting_without_error(found: ChromaError, form: PictureFormat) -> Siting | None:
-    """Return the siting by which files are read without error; None where none is, or it is not known.
-
-    ``form``: with the siting that the files were read by.
-    """
+    """Return the siting by which files of that form are read without error; None where none is known."""
     if (found.sigma_px <= _MOST_SIGMA_PX).all():
         for siting in (form.siting, *SITINGS):  # of those that are the same, as left and top-left of 4:2:2, the stated
             apart_px = _place_px(form, form.siting) - _place_px(form, siting)
@@ -163,11 +156,7 @@ def _in_mm(wrong_px: np.ndarray, form: PictureFormat, calibration: Calibration) 
 
 
 def find_chroma_error(neutral: np.ndarray, coloured: np.ndarray, form: PictureFormat) -> ChromaError:
-    """Measure by how far chroma lies beside the place that it is taken for.
-
-    ``neutral``, ``coloured`` (h, w, 3) array: encoded R, G, B of both photographs, as `rgb_of_planes` makes them;
-    ``form``: of both, with the siting that they were read by.
-    """
+    """Measure by how far chroma lies beside the place that two prints' encoded RGB were read by."""
     differences = _windows(coloured, form) - _windows(neutral, form)
     differences = differences[np.isfinite(differences[:, 2])]
     typical = float(np.median(differences[:, 2])) if len(differences) else float("nan")

@@ -28,20 +28,13 @@ class DepthComparison:
 
     a: StoredDepth
     b: StoredDepth
-    # ``difference_mm``, ``difference_percent``: (H, W) float32: B - A, and the same of A; NaN where either is unknown.
-    difference_mm: np.ndarray
-    difference_percent: np.ndarray
-    # (H, W) float32: B - A in units of the error bars that there are, combined as independent; None where there are
-    # none.
-    in_sigmas: np.ndarray | None
+    difference_percent: np.ndarray  # (H, W) float32: B - A, of A; NaN where either is unknown
+    in_sigmas: np.ndarray | None  # (H, W) float32: B - A in units of the error bars that there are, independent
     figures: dict[str, Any]  # of `chromaperture compare --json`
 
 
 def compare_depth(a: StoredDepth, b: StoredDepth) -> DepthComparison:
-    """Compare two depth maps of the same view; A is what shares and percentages refer to.
-
-    ``a``, ``b``: (H, W) each; depth in mm. Raises InputError: their sizes differ, or no pixel is known in both.
-    """
+    """Compare two depth maps of the same view; A is what shares and percentages refer to."""
     if a.depth_mm.shape != b.depth_mm.shape:
         sizes = " and ".join(f"{m.depth_mm.shape[1]}x{m.depth_mm.shape[0]}" for m in (a, b))
         raise InputError(f"the maps have different sizes, {sizes} px; compare maps of one view at one size")
@@ -71,7 +64,7 @@ def compare_depth(a: StoredDepth, b: StoredDepth) -> DepthComparison:
         "error_bars": _honesty(in_sigmas, "".join(name for name, _ in sigmas)),
         "by_distance": _by_distance(a.depth_mm, percent, in_sigmas, in_a, both),
     }
-    return DepthComparison(a, b, difference, percent, in_sigmas, figures)
+    return DepthComparison(a, b, percent, in_sigmas, figures)
 
 
 def _spread(values: np.ndarray) -> dict[str, float]:
@@ -144,10 +137,8 @@ class CameraComparison:
     names: tuple[str, str]  # (str, str)
     quality: str
     distances_mm: np.ndarray  # (D,) float: as camera A has them, evenly in 1 / distance over the range of both
-    # (D, G, G) float: what B makes of A's disparity, less A's depth, % of it; over a grid of positions, corner to
-    # corner.
+    # (D, G, G) float: what B makes of A's disparity, less A's depth, % of it; over a grid of positions, to the corners
     difference_percent: np.ndarray
-    sigma_percent: np.ndarray  # (D, G, G) float: error bar of the calibrations, both together
     aspect: float  # width of the frame over its height
     figures: dict[str, Any]
 
@@ -159,12 +150,7 @@ _COMPARED = ("design", "width_px", "height_px", "focal_length_mm", "f_number", "
 def compare_cameras(
     a: Calibration, b: Calibration, *, names: tuple[str, str] = ("A", "B"), quality: str = "real-time"
 ) -> CameraComparison:
-    """Compare what two camera files make of the same disparity, over the frame and over the distances of both.
-
-    ``a``, ``b``: calibrated, of one design and one aspect; other pixels are scaled; ``names`` (str, str); ``quality``:
-    whose curves are compared. Raises InputError: a camera without depth, other designs or aspects, or ranges without a
-    common distance.
-    """
+    """Compare what two camera files of one design and aspect make of a disparity, over frame and range."""
     for name, camera in zip(names, (a, b), strict=True):
         if not camera.is_calibrated or quality not in camera.depth:
             raise InputError(f"{name} has no depth curve of quality {quality}; calibrate it, or choose --quality")
@@ -223,7 +209,7 @@ def compare_cameras(
             for distance, row, bar in zip(distances, percent, sigma, strict=True)
         ],
     }  # fmt: skip
-    return CameraComparison(names, quality, distances, percent, sigma, a.sensor.width_px / a.sensor.height_px, figures)
+    return CameraComparison(names, quality, distances, percent, a.sensor.width_px / a.sensor.height_px, figures)
 
 
 _BARS = 81  # of a histogram; odd, so that one is at 0

@@ -66,10 +66,7 @@ def show_image(
     colors: str | None = None,
     **options: Any,
 ) -> AxesImage:
-    """Show an (H, W) map or (H, W, 3) image without ticks.
-
-    ``bar`` labels a colour bar, ``colors`` is one of `color_maps` for a map, ``options`` are of imshow.
-    """
+    """Show a map or picture without ticks; ``bar`` labels a colour bar, ``options`` are of imshow."""
     shown = axes.imshow(image, cmap=None if colors is None else color_map(colors), **options)
     axes.set_title(title, fontsize=size, loc="left")
     axes.set_axis_off()
@@ -131,11 +128,7 @@ def draw_surfaces(result: CalibrationResult) -> Figure:
 
 
 def plane_residual(depth_mm: np.ndarray) -> tuple[np.ndarray, float]:
-    """Subtract the best plane from a depth map, ignoring outliers.
-
-    ``depth_mm`` (h, w) float, NaN unknown. Returns ``residual_mm`` (h, w) float64; ``rms_mm`` of the residual within
-    four robust standard deviations: single wrong pixels are the matcher's, not the field's.
-    """
+    """Subtract the best plane from a depth map; returns the rest and its rms within four robust deviations."""
     y, x = np.mgrid[: depth_mm.shape[0], : depth_mm.shape[1]]
     known = np.isfinite(depth_mm)
     out = np.full(depth_mm.shape, np.nan)
@@ -440,11 +433,7 @@ def _patches(blur: LensBlur, inverse_mm: float) -> np.ndarray:
 
 
 def blur_layer_errors(result: CalibrationResult) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Compute the depth error of the best layer of every cell on every board; None without a blur.
-
-    Returns ``distance_mm`` (N,) float64, from the sensor; ``by_blur, by_curve`` (N, P) float64, per cent of the
-    distance: by the fitted blur alone, and by the depth curve of quality accurate.
-    """
+    """Return distances (N,) and per-cent depth errors (N, P) by the blur alone and by the curve; or None."""
     layers, blur = result.layers, result.calibration.field_blur()
     if layers is None or blur is None:
         return None

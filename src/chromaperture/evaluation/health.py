@@ -1,8 +1,4 @@
-"""Compare one photograph with the camera file, to find what changed since the calibration.
-
-A photograph of the chessboard is the best: its corners determine a distance independently of the aperture, and the
-disparity there must be the one that the camera file predicts.
-"""
+"""Compare a photograph, best of the chessboard, whose corners give a distance, with the camera file."""
 
 from __future__ import annotations
 
@@ -40,7 +36,7 @@ _FAR_FROM_FOCUS_PX = 0.4  # expected disparity below which a turned filter is wi
 _TURNED_TOLERANCE_PX = 0.35  # from the mirrored disparity: the bias is larger with the wrong layout of the filter
 _DEPTH_TOLERANCE = 0.02
 _SQUARE_TOLERANCE = 0.02  # of the square's side: poses behind blur err by 1 %; the disparity's tolerance is added
-# Rms error of the exponents: single boards of four linear sessions have at most .10, of files with a tone curve .33.
+# Rms error of the exponents: single boards of four linear sessions have at most 0.10, of files with a tone curve 0.33.
 _TONE_TOLERANCE = 0.2
 _SEARCH_MARGIN_PX = 1.5  # beyond the calibrated disparities: a refocused camera has others
 _LEAST_MEASURED = 0.25  # fraction of the board's pixels that must have a disparity
@@ -49,12 +45,7 @@ _LEAST_MEASURED = 0.25  # fraction of the board's pixels that must have a dispar
 def check_camera(
     image: np.ndarray, calibration: Calibration, *, board: Board | None = None, exif: Exif | None = None
 ) -> list[Check]:
-    """Compare one photograph with the calibration.
-
-    ``image`` (H, W, 3) float, linear RGB, 1.0 = white level; ``board``: the chessboard to look for; by default that of
-    the calibration; ``exif``: settings that the camera wrote into the file. Raises InputError: the image is not RGB, or
-    the camera was never calibrated.
-    """
+    """Compare one photograph of linear RGB, and its EXIF settings, with the calibration and its board."""
     image = checked_image(image)
     if not calibration.is_calibrated:
         raise InputError("this camera file has no depth curve to check against; run 'chromaperture calibrate' first")

@@ -9,6 +9,8 @@ from typing import Any
 
 import cv2
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.special import erf
 
 from chromaperture.calibration.assemble_camera import assemble_camera
 from chromaperture.calibration.chessboard import board_points, find_corners
@@ -31,14 +33,78 @@ from chromaperture.evaluation.checks import (
     measure_tint,
     urgent_first,
 )
-from chromaperture.evaluation.edge_blur import edge_blur, pupil_spread
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Film
-from chromaperture.optics.aperture import channel_transmission, design_named, made_of
+from chromaperture.optics.aperture import Aperture, channel_transmission, design_named, made_of
 from chromaperture.optics.pinhole import centered_pinhole
+from chromaperture.optics.psf import pupil_samples
 from chromaperture.settings.methods import QUALITIES
 from chromaperture.system.errors import ChromapertureError, InputError
 from chromaperture.system.robust import MAD_TO_SIGMA
+
+_REACH = 0.42  # of a square, to either side of an edge: beyond lies the blur of the next edge; chosen by hand
+_SAMPLES = 61  # of a profile, more than the px it covers; chosen by hand
+_FEWEST = 4  # edges of one direction; chosen by hand
+_CELLS = 32  # across the pupil; chosen by hand
+GREEN = 1  # the channel in which corners are found
+
+
+def edge_blur(plane: np.ndarray, corners: np.ndarray, inner_corners: tuple[int, int]) -> tuple[float, float]:
+    """Measure the blur across a chessboard's edges along x and y, px: about half of a disc's radius."""
+    columns, rows = inner_corners
+    grid = corners.reshape(rows, columns, 2).astype(float)
+    found = {0: [], 1: []}  # type: dict[int, list[np.ndarray]]
+    lengths: dict[int, list[float]] = {0: [], 1: []}
+    for axis in (0, 1):
+        first, second = (grid[:-1], grid[1:]) if axis == 0 else (grid[:, :-1], grid[:, 1:])
+        for a, b in zip(first.reshape(-1, 2), second.reshape(-1, 2), strict=True):
+            length = float(np.linalg.norm(b - a))
+            across = np.array([-(b - a)[1], (b - a)[0]]) / max(length, 1e-6)
+            upright = int(abs(across[0]) < abs(across[1]))  # 0: the edge is upright, and is crossed along x
+            found[upright].append(_profile(plane, (a + b) / 2, across, (b - a) / length, _REACH * length))
+            lengths[upright].append(length)
+    return _spread(found[0], lengths[0]), _spread(found[1], lengths[1])
+
+
+def _profile(
+    plane: np.ndarray, middle: np.ndarray, across: np.ndarray, along: np.ndarray, reach_px: float
+) -> np.ndarray:
+    """Sample across an edge, averaged over a third of its length."""
+    steps = np.linspace(-reach_px, reach_px, _SAMPLES)[None, :, None] * across
+    places = middle + steps + np.linspace(-0.4, 0.4, 5)[:, None, None] * reach_px * along
+    maps = places.astype(np.float32)
+    sampled = cv2.remap(plane, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    profile = np.asarray(sampled.mean(axis=0), float)
+    return profile if profile[-_SAMPLES // 4 :].mean() > profile[: _SAMPLES // 4].mean() else profile[::-1]
+
+
+def _spread(profiles: list[np.ndarray], lengths: list[float]) -> float:
+    if len(profiles) < _FEWEST:
+        return float("nan")
+    mean, reach = np.mean(profiles, axis=0), _REACH * float(np.mean(lengths))
+    t = np.linspace(-reach, reach, _SAMPLES)
+    low, high = float(mean.min()), float(mean.max())
+    if not high > low:
+        return float("nan")
+
+    def residual(p: np.ndarray) -> np.ndarray:
+        level = p[0] + p[1] * erf((t - p[2]) / (np.sqrt(2) * np.exp(p[3])))
+        return np.asarray((level - mean) / (high - low))
+
+    start = np.array([(low + high) / 2, (high - low) / 2, 0.0, np.log(reach / 4)])
+    fit = least_squares(residual, start)
+    sigma = float(np.exp(fit.x[3]))
+    return sigma if 0 < sigma < 2 * reach else float("nan")
+
+
+def pupil_spread(aperture: Aperture) -> tuple[float, float]:
+    """Return the standard deviation of the pupil's light in green, along x and y; pupil radii."""
+    points, light = pupil_samples(aperture, _CELLS)
+    weight = light[:, GREEN] / light[:, GREEN].sum()
+    mean = weight @ points
+    x, y = np.sqrt(np.maximum(weight @ (points - mean) ** 2, 0))
+    return float(x), float(y)
+
 
 # Limits, chosen by hand from the causes named.
 # Fitted spread over that of the pupil's light, and what the sharpest edge has: simulated boards in and out of focus.
@@ -118,11 +184,7 @@ def check_board(
     notes: Sequence[str] = (),
     curve: DepthModel | None = None,
 ) -> CheckedShot:
-    """Check a photograph of the board square to the axis, from `Session.read`.
-
-    ``ruler_mm`` is from the sensor plane; disparities are searched between the ends of ``range_mm``; ``notes`` are what
-    reading the file warned of; ``curve`` is fitted to the earlier boards, the engraved lens's when there are too few.
-    """
+    """Check a board square to the axis at ``ruler_mm``; ``curve`` is fitted to the earlier boards."""
     checks = [_exposure(image), *_file(notes)]
     corners = find_corners(image[..., 1], session.inner_corners)
     if corners is None:
@@ -325,10 +387,7 @@ def _disparity_at(model: DepthModel, at_mm: float) -> float:
 
 
 def check_sheet(image: np.ndarray, name: str, *, design: str, clear: np.ndarray | None = None) -> list[Check]:
-    """Check a photograph of a white sheet, (H, W, 3) float32, linear; the most urgent finding first.
-
-    ``name`` is ``open``, the design's, or one of `SHEETS`; ``clear`` the mean colour through the open pupil, (3,).
-    """
+    """Check a photograph of a white sheet, of that name; ``clear`` is the open pupil's mean colour."""
     height, width = image.shape[:2]
     middle = image[height * 2 // 5 : height * 3 // 5, width * 2 // 5 : width * 3 // 5].reshape(-1, 3).astype(float)
     mean, brightest = middle.mean(axis=0), middle.max(axis=1)
@@ -431,10 +490,7 @@ def check_exposed(image: np.ndarray) -> Check:
 def check_tone(
     first: Exposed, second: Exposed, *, design: str, is_encoded: bool = True
 ) -> tuple[list[Check], ToneCurve | None]:
-    """Compare two exposures of one scene; the curve is None where the pictures tell nothing.
-
-    ``is_encoded``: the files are of 8 bits and were decoded as sRGB.
-    """
+    """Compare two exposures of one scene; the curve is None where the pictures tell nothing."""
     ratio = max(first.exposure, second.exposure) / min(first.exposure, second.exposure)
     if ratio < LEAST_RATIO:
         finding = f"both photographs have the same exposure, to a factor of {ratio:.2f}"

@@ -50,11 +50,7 @@ def qualities(result: CalibrationResult) -> tuple[Quality, ...]:
 
 
 def depth_accuracy(result: CalibrationResult, quality: Quality = QUALITY) -> DepthAccuracy:
-    """Propagate the pixel noise on the boards and the covariance of the curve to millimetres, all over the frame.
-
-    The noise in px is that of the whole frame. The depth per px must be too: towards the corners the baseline shrinks,
-    and a px is more millimetres than on the axis.
-    """
+    """Propagate pixel noise and the curve's covariance to mm, all over the frame: px are more mm in corners."""
     calibration = result.calibration
     width, height = calibration.sensor.width_px, calibration.sensor.height_px
     field = calibration.depth[quality]
@@ -89,10 +85,7 @@ def _over_frame(sigma: np.ndarray) -> np.ndarray:
 
 
 def _mean_slope(z_mm: np.ndarray, model: DepthModel, noise_px: np.ndarray) -> np.ndarray:
-    """Return d measured / d linear disparity, averaged over readings one standard deviation to both sides; (N, P).
-
-    The nonlinearity ends at the last board and its slope with it: readings of one wall lie on both sides of the end.
-    """
+    """Return d measured / d linear disparity, averaged over readings one deviation to both sides; (N, P)."""
     curve = model.nonlinearity
     linear = model.infinity_disparity_px - model.scale_px_mm / z_mm
     if curve is None:
@@ -108,10 +101,7 @@ def intervals(depth_mm: np.ndarray, good: np.ndarray) -> list[tuple[float, float
 
 
 def board_errors(result: CalibrationResult, quality: Quality = QUALITY) -> np.ndarray:
-    """Return each board's median error over the frame by the fitted fields; (boards,) float64, mm, NaN unknown.
-
-    For ``accurate`` the median is over the cells that its depth curve was fitted to.
-    """
+    """Return each board's median error, mm, by the fitted fields, over the cells that a curve was fitted to."""
     if quality == "accurate":
         return _accurate_errors(result)
     rulers = np.array([board.ruler_mm for board in result.boards])
@@ -133,11 +123,7 @@ def _accurate_errors(result: CalibrationResult) -> np.ndarray:
 
 
 def board_depth(result: CalibrationResult, index: int, *, corrected: bool = True) -> np.ndarray:
-    """Compute the depth of a board on the grid.
-
-    ``index``: of the board; ``corrected``: by the fields over the frame; otherwise by the curve of the axis. Returns
-    (h, w) float64, mm from the sensor plane; NaN unknown.
-    """
+    """Compute the depth of a board on the grid, mm, by the fields, or by the curve of the axis."""
     board, sensor, field = result.boards[index], result.calibration.sensor, result.calibration.depth[QUALITY]
     axis = field.on_axis(sensor.width_px, sensor.height_px)
     disparity = np.asarray(board.grid_px[QUALITY], float)
@@ -199,10 +185,7 @@ def sentences(result: CalibrationResult) -> list[Sentence]:
 
 
 def unusable(result: CalibrationResult) -> list[str]:
-    """Return the reasons why a camera cannot be used; empty for one that measures at any quality.
-
-    Where views lie close together, as of an open aperture, ``accurate`` measures what ``real-time`` cannot.
-    """
+    """Return why a camera cannot be used at any quality; ``accurate`` measures more than ``real-time``."""
     faults = [faults_of(result, quality) for quality in qualities(result)]
     reasons = faults[0] if all(faults) else []
     if is_of_another_design(result):
@@ -300,11 +283,11 @@ def _against_rulers(result: CalibrationResult) -> list[str]:
     ]
 
 
-# Of 22 right cameras of simulated sessions, seven designs, focal lengths are .94 to 1.01 of the stated ones, baselines
-# .98 to 1.08 of those of design and f-number, .75 to .88 of open designs, whose rim vignettes.
+# Of 22 right cameras of simulated sessions, seven designs, focal lengths are 0.94 to 1.01 of the stated ones, baselines
+# 0.98 to 1.08 of those of design and f-number, 0.75 to 0.88 of open designs, whose rim vignettes.
 _FOCAL_TOLERANCE = 0.15  # engraved ones are rounded, and lenses change theirs when they focus near
 _BASELINE_RATIO = (0.65, 1.35)  # a wrong f-number by a stop is 1.4
-# Halves taken for the open design are 2.54, for three squares .07; a wrong f-number by two stops is 2.
+# Halves taken for the open design are 2.54, for three squares 0.07; a wrong f-number by two stops is 2.
 _OTHER_DESIGN_RATIO = (0.4, 2.2)
 
 
@@ -352,10 +335,7 @@ MOST_MEGAPIXELS = 2.0
 
 
 def chosen_boards(result: CalibrationResult) -> list[int]:
-    """Return the nearest, the sharpest and the farthest board; none where ``accurate`` has no curve of its own.
-
-    Noise in px grows with the blur, so that it can be interpolated between these three.
-    """
+    """Return the nearest, sharpest and farthest board, between which noise is interpolated; or none."""
     if result.layers is None:
         return []
     used, distance = np.flatnonzero(result.evidence.used), result.evidence.from_sensor_mm
@@ -367,11 +347,7 @@ def chosen_boards(result: CalibrationResult) -> list[int]:
 def with_accurate_noise(
     result: CalibrationResult, *, most_megapixels: float = MOST_MEGAPIXELS, progress: Progress = silent
 ) -> CalibrationResult:
-    """Measure a few boards at quality ``accurate``.
-
-    ``most_megapixels``: larger photographs, all boards together, are left out: they would take minutes. Returns with
-    ``pixel_sigma_px["accurate"]``, NaN for the other boards and those that cannot be measured; or unchanged.
-    """
+    """Measure a few boards at quality ``accurate`` for its noise, unless they have too many megapixels."""
     calibration = result.calibration
     width, height = calibration.sensor.width_px, calibration.sensor.height_px
     boards = chosen_boards(result)

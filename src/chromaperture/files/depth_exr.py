@@ -7,16 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import InputError, needed
 
 
 def openexr() -> Any:
     """Import OpenEXR; raises MissingDependencyError naming the extra."""
-    try:
-        import OpenEXR
-    except ImportError:
-        raise MissingDependencyError("OpenEXR files need the extra: pip install 'chromaperture[exr]'") from None
-    return OpenEXR
+    return needed("OpenEXR", "OpenEXR files need the extra: pip install 'chromaperture[exr]'")
 
 
 def write_exr(
@@ -29,15 +25,7 @@ def write_exr(
     camera_matrix: np.ndarray,
     sensor_to_pupil_mm: float,
 ) -> None:
-    """Write linear colour (R, G, B), depth (Z) and its error bar and confidence as 32-bit floats, NaN unknown.
-
-    Z is in mm from the entrance pupil along the axis, as programs that composite take it; the units stand in the names
-    of the other channels and in the header.
-
-    ``color`` (H, W, 3) float, linear RGB; ``depth_mm``, ``sigma_mm`` (H, W) float, mm; depth from the sensor plane;
-    ``confidence`` (H, W) float in [0, 1]; ``camera_matrix`` (3, 3) float, px. Raises MissingDependencyError: the extra
-    ``exr`` is not installed.
-    """
+    """Write linear colour, Z from the pupil, its error bar (mm) and confidence as 32-bit floats, NaN unknown."""
     exr = openexr()
     z_mm = np.asarray(depth_mm, np.float32) - np.float32(sensor_to_pupil_mm)
     channels = {name: np.ascontiguousarray(color[..., i], np.float32) for i, name in enumerate("RGB")}
@@ -59,11 +47,7 @@ def write_exr(
 
 
 def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Read depth from the sensor plane, its error bar (mm) and confidence of a file that `write_exr` wrote.
-
-    Returns (H, W) float32 each, NaN unknown. Raises MissingDependencyError: the extra ``exr`` is not installed. Raises
-    InputError: the file is damaged, or another program's.
-    """
+    """Read depth from the sensor plane, error bar and confidence, (H, W) each, of a file of `write_exr`."""
     exr, path = openexr(), Path(path)
     try:
         with exr.File(str(path), separate_channels=True) as file:

@@ -37,12 +37,7 @@ Property = tuple[str, str, str]  # namespace, prefix, name
 def with_xmp(
     jpeg: bytes, properties: Mapping[Property, str], *, inner_xml: str = "", large: frozenset[Property] = frozenset()
 ) -> bytes:
-    """Insert a packet of metadata into a JPEG file.
-
-    ``jpeg``: without XMP; ``properties`` mapping of (namespace, prefix, name) to str: simple values; ``inner_xml``:
-    elements besides them, whose namespaces are declared in it; ``large``: which go into extended XMP where not all have
-    room in one segment. Raises InputError: what cannot go into extended XMP does not fit into a segment.
-    """
+    """Insert metadata into a JPEG file, what is ``large`` into extended XMP where it does not fit."""
     whole = _STANDARD + _packet(_description(properties, inner_xml)).encode("utf-8")
     segments = [whole]
     if len(whole) > _MOST:
@@ -109,13 +104,7 @@ class EncodedDepth:
 
 
 def encode_depth(z_mm: np.ndarray, confidence: np.ndarray, *, form: Form = "inverse") -> EncodedDepth:
-    """Encode a depth map as both formats do.
-
-    Neither knows unknown pixels: they are given the depth of the nearest known pixel, and confidence 0.
-
-    ``z_mm`` (H, W) float, mm from the entrance pupil along the axis, NaN unknown; ``confidence`` (H, W) float in [0,
-    1]; ``form`` {"inverse", "linear"}. Raises InputError: no pixel is known, or the form is another one.
-    """
+    """Encode a depth map for both formats: unknown pixels get the nearest depth and confidence 0."""
     if form not in _NAMES:
         raise InputError(f"unknown form of depth {form!r}: choose inverse or linear")
     known = np.isfinite(z_mm) & (z_mm > 0)
@@ -141,11 +130,7 @@ def encode_depth(z_mm: np.ndarray, confidence: np.ndarray, *, form: Form = "inve
 
 
 def gdepth_jpeg(color: np.ndarray, depth: EncodedDepth) -> bytes:
-    """Return a JPEG photograph with GDepth metadata: depth in mm and confidence as PNG pictures in base64.
-
-    ``color`` (H, W, 3) uint8, sRGB; ``depth``: of the same view; distances along the optical axis from the entrance
-    pupil.
-    """
+    """Return an sRGB photograph as JPEG with GDepth metadata: depth in mm and confidence, base64 PNG."""
     values = {
         "Format": _NAMES[depth.form],
         "Near": f"{depth.near_mm:.6f}",
@@ -165,11 +150,7 @@ def gdepth_jpeg(color: np.ndarray, depth: EncodedDepth) -> bytes:
 
 
 def dynamic_depth_jpeg(color: np.ndarray, depth: EncodedDepth, *, camera_matrix: np.ndarray) -> bytes:
-    """Return a JPEG photograph with Dynamic Depth: depth and confidence as PNG files behind it, distances in metres.
-
-    ``color`` (H, W, 3) uint8, sRGB; ``camera_matrix`` (3, 3) float, px: written in px, as phones do; the distortion of
-    the lens is left out.
-    """
+    """Return a JPEG photograph with Dynamic Depth: depth (m) and confidence as PNG files behind it."""
     items = [("android/depthmap", encode_png(depth.levels)), ("android/confidencemap", encode_png(depth.confidence))]
     return with_xmp(_jpeg(color), {}, inner_xml=_dynamic_xml(color.shape, depth, camera_matrix, items)) + b"".join(
         content for _, content in items

@@ -1,8 +1,4 @@
-"""A depth map as a surface with the photograph on it, seen by the camera that took it; as GLB and as USDZ.
-
-GLB: one glTF 2.0 file (Khronos, glTF 2.0 Specification, 2021). USDZ: for iPhones and film tools; needs the extra
-``usd``.
-"""
+"""A depth map as a surface with the photograph on it, as GLB (Khronos, glTF 2.0, 2021) and USDZ (extra ``usd``)."""
 
 from __future__ import annotations
 
@@ -11,6 +7,7 @@ import json
 import math
 import struct
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,12 +38,7 @@ class TexturedMesh:
 def textured_mesh(
     z_mm: np.ndarray, picture: np.ndarray, *, camera_matrix: np.ndarray, distortion: np.ndarray
 ) -> TexturedMesh:
-    """Join neighbouring pixels to triangles where no edge of depth is between them.
-
-    ``z_mm`` (H, W) float, mm from the entrance pupil along the axis, NaN unknown; ``picture`` (H, W, 3) uint8, sRGB;
-    ``camera_matrix`` (3, 3) float, px; ``distortion`` (5,) float: OpenCV's k1, k2, p1, p2, k3; vertices are where the
-    rays of the lens lead, the picture stays as it is. Raises InputError: no two neighbouring pixels are known.
-    """
+    """Join neighbouring pixels to triangles where no edge of depth is between them, along the lens's rays."""
     height, width = z_mm.shape
     step = 1
     while -(-height // step) * -(-width // step) > _MOST_VERTICES:
@@ -99,12 +91,6 @@ def glb_bytes(mesh: TexturedMesh, *, name: str = "photograph", quality: int = 92
     texture, indices = mesh.texture.astype("<f4"), mesh.triangles.astype("<u4")
     file = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(mesh.picture)).save(file, "JPEG", quality=quality, subsampling=0)
-    parts = [positions.tobytes(), texture.tobytes(), indices.tobytes(), file.getvalue()]
-    views: list[dict[str, Any]] = []
-    at = 0
-    for data, target in zip(parts, (_ARRAY, _ARRAY, _ELEMENTS, None), strict=True):
-        views.append({"buffer": 0, "byteOffset": at, "byteLength": len(data)} | ({"target": target} if target else {}))
-        at += len(data)
     height, width = mesh.picture.shape[:2]
     k = mesh.camera_matrix
     camera = {
@@ -143,16 +129,25 @@ def glb_bytes(mesh: TexturedMesh, *, name: str = "photograph", quality: int = 92
             {"bufferView": 1, "componentType": _FLOAT, "count": len(texture), "type": "VEC2"},
             {"bufferView": 2, "componentType": _UINT32, "count": indices.size, "type": "SCALAR"},
         ],
-        "bufferViews": views,
-        "buffers": [{"byteLength": at}],
     }  # fmt: skip
-    text = json.dumps(tree).encode()
+    return glb_file(tree, [positions, texture, indices, np.frombuffer(file.getvalue(), np.uint8)])
+
+
+def glb_file(tree: dict[str, Any], parts: Sequence[np.ndarray]) -> bytes:
+    """Return a binary glTF 2.0 file of a tree and its buffer: two arrays of the vertices, indices, then pictures."""
+    views: list[dict[str, Any]] = []
+    at = 0
+    for data, target in zip(parts, (_ARRAY, _ARRAY, _ELEMENTS, None), strict=False):
+        kind = {"target": target} if target else {}
+        views.append({"buffer": 0, "byteOffset": at, "byteLength": data.nbytes, **kind})
+        at += data.nbytes
+    text = json.dumps({**tree, "bufferViews": views, "buffers": [{"byteLength": at}]}).encode()
     text += b" " * (-len(text) % 4)
-    binary = b"".join(parts)
-    binary += b"\0" * (-len(binary) % 4)
-    header = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(binary))
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return header + chunks
+    padding = b"\0" * (-at % 4)
+    size = at + len(padding)
+    header = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + size)
+    texts = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", size, b"BIN\0")
+    return b"".join([header, texts, *(part.data for part in parts), padding])  # one copy: models have many megabytes
 
 
 _SENSOR_MM = 36.0  # width of the camera's aperture; only its ratio to the focal length matters
@@ -168,11 +163,7 @@ def usd() -> Any:
 
 
 def write_usdz(path: str | Path, mesh: TexturedMesh) -> None:
-    """Write a package of geometry, texture and camera: metres, y up, the camera at the origin, looking along -z.
-
-    ``path``: ends in .usdz. Raises MissingDependencyError: the extra ``usd`` is not installed. Raises InputError:
-    OpenUSD could not write the package.
-    """
+    """Write a package of geometry, texture and camera: metres, y up, the camera at the origin, looking along -z."""
     _, _, stages, geometry, _, utilities, _ = usd()
     with tempfile.TemporaryDirectory() as folder:
         scene = Path(folder) / "scene.usdc"

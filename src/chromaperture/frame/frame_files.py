@@ -47,13 +47,7 @@ OUTPUTS = {
 
 
 def chosen_outputs(write: str | Iterable[str] | None, *, is_calibrated: bool = True) -> tuple[str, ...]:
-    """Check names of outputs; returns them in the order of `OUTPUTS`.
-
-    ``write``: names, in one text with commas between them or one by one; when None, all that the camera can give of
-    those written by default; ``is_calibrated``: whether the camera gives depth in mm. Raises InputError: an unknown
-    name, none, or one that needs depth in mm. Raises MissingDependencyError: an output needs an extra that is not
-    installed.
-    """
+    """Check names of outputs; returns them, or all defaults of such a camera, in the order of `OUTPUTS`."""
     possible = [name for name, output in OUTPUTS.items() if is_calibrated or not output.needs_depth]
     if write is None:
         return tuple(name for name in possible if OUTPUTS[name].by_default)
@@ -150,12 +144,7 @@ def save(
 
 
 def write_format(name: str, path: Path, frame: DepthFrame, *, max_relative_sigma: float) -> None:
-    """Write ``gdepth``, ``dynamic-depth``, ``exr``, ``glb`` or ``usdz`` of a frame.
-
-    ``name``: of `OUTPUTS`; ``frame``: of a calibrated camera; ``max_relative_sigma``: largest sigma / depth of all but
-    ``exr``, which is whole. Raises InputError: the frame has no depth in mm, or nothing is left within the limit.
-    Raises MissingDependencyError: the format's extra is not installed.
-    """
+    """Write one of the formats of other programs; all but ``exr`` only within ``max_relative_sigma``."""
     if frame.calibration is None or frame.config is None or not frame.calibration.is_calibrated:
         raise InputError(f"{name} needs a frame of a calibrated camera; make one with 'chromaperture calibrate'")
     lens = frame.calibration.lens

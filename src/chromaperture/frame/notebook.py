@@ -18,7 +18,7 @@ from chromaperture.frame.depth_frame import DepthFrame, one_line
 from chromaperture.frame.preview import ColorScale, depth_scale, error_scale, exposed, fitted_size, reduced
 from chromaperture.model.camera_file import Calibration
 from chromaperture.settings.methods import Quality
-from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import InputError, needed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,10 +41,7 @@ def html(frame: DepthFrame) -> str:
 
 
 def camera_html(calibration: Calibration, quality: Quality) -> str:
-    """Return the film in the pupil and a table of what the camera is, as HTML.
-
-    ``quality`` {"paper", "real-time", "accurate"}: whose depth curve is shown.
-    """
+    """Return the film in the pupil and a table of what the camera is, with a quality's depth curve, as HTML."""
     lens, sensor = calibration.lens, calibration.sensor
     rows = [
         ("film", calibration.aperture.title),
@@ -126,14 +123,8 @@ def points_view(cloud: PointCloud, *, most_points: int, height_px: int) -> Point
 
 
 def to_open3d(cloud: PointCloud) -> Any:
-    """Convert points to ``open3d.geometry.PointCloud``: metres, colours 0 to 1; x right, y down, z forward.
-
-    Raises MissingDependencyError: the extra ``reconstruct`` is not installed.
-    """
-    try:
-        import open3d
-    except ImportError:
-        raise MissingDependencyError("Open3D needs the extra: pip install 'chromaperture[reconstruct]'") from None
+    """Convert points to ``open3d.geometry.PointCloud``: metres, colours 0 to 1; x right, y down, z forward."""
+    open3d = needed("open3d", "Open3D needs the extra: pip install 'chromaperture[reconstruct]'")
     made = open3d.geometry.PointCloud()
     made.points = open3d.utility.Vector3dVector(cloud.points_mm.astype(np.float64) / 1000)
     made.colors = open3d.utility.Vector3dVector(cloud.colors.astype(np.float64) / 255)
@@ -141,14 +132,8 @@ def to_open3d(cloud: PointCloud) -> Any:
 
 
 def to_xarray(frame: DepthFrame) -> Any:
-    """Return the maps of a frame as ``xarray.Dataset``, which holds the arrays themselves, not copies.
-
-    Raises MissingDependencyError: the extra ``xarray`` is not installed.
-    """
-    try:
-        import xarray
-    except ImportError:
-        raise MissingDependencyError("datasets need the extra: pip install 'chromaperture[xarray]'") from None
+    """Return the maps of a frame as ``xarray.Dataset``, which holds the arrays themselves, not copies."""
+    xarray = needed("xarray", "datasets need the extra: pip install 'chromaperture[xarray]'")
     height, width = frame.disparity_px.shape
     maps = {
         "depth_mm": (frame.depth_mm, "mm", "distance from the sensor plane along the optical axis"),

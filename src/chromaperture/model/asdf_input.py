@@ -1,8 +1,4 @@
-"""ASDF files of other people: everything is checked before asdf resolves or allocates anything.
-
-asdf opens what a file names (other files, addresses, devices) and unpacks what it declares. A camera file needs
-neither: its tree is plain YAML and arrays of floats in uncompressed blocks behind it.
-"""
+"""ASDF files of other people: only plain YAML and uncompressed float arrays reach asdf, which opens what is named."""
 
 from __future__ import annotations
 

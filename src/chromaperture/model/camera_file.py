@@ -40,7 +40,7 @@ from chromaperture.system.validation import (
 )
 
 FORMAT_VERSION = 1
-# A focus from here on is called infinity: that far away the disparity of a 50 mm lens at f/2 is .04 px of 62 um less
+# A focus from here on is called infinity: that far away the disparity of a 50 mm lens at f/2 is 0.04 px of 62 um less
 # than at infinity.
 INFINITY_MM = 1e5
 _ROOT = "chromaperture_camera"

@@ -52,11 +52,7 @@ def at_scale(calibration: Calibration, scale: float) -> Calibration:
 
 
 def resized(calibration: Calibration, width_px: int, height_px: int) -> Calibration:
-    """Return the same camera for pictures of another size that show the whole frame.
-
-    ``width_px``, ``height_px``: of nearly the same aspect: where a side was rounded, px of disparity are those of the
-    width. Returns without change where the size is the same. Raises InputError: the size has another aspect.
-    """
+    """Return the same camera for the whole frame at another size of the same aspect, px are of the width."""
     sensor, lens = calibration.sensor, calibration.lens
     before, after = (sensor.width_px, sensor.height_px), (int(width_px), int(height_px))
     if before == after:
@@ -108,11 +104,7 @@ def _camera_matrix(matrix: np.ndarray, across: float, down: float) -> np.ndarray
 
 
 def working_scale(calibration: Calibration) -> int:
-    """Return the scale at which a camera's boards were matched, or one at which pixels cost next to nothing.
-
-    The curves of shift matching hold the bias that windows of so many pixels have, so a camera that was calibrated at
-    a working scale keeps it. Else it is the coarsest of `SCALES` that the blur allows, and 1 where that is not known.
-    """
+    """Return the scale at which the boards were matched, else the coarsest of `SCALES` that blur allows."""
     matched = calibration.provenance.get(MATCHED_SIZE)
     if isinstance(matched, list | tuple) and len(matched) == 2 and isinstance(matched[0], int) and matched[0] > 0:
         scale = calibration.sensor.width_px / matched[0]
@@ -132,11 +124,7 @@ def working_scale(calibration: Calibration) -> int:
 
 
 def accurate_scale(calibration: Calibration) -> float:
-    """Return the scale at which quality accurate matches: `working_scale`, or more where blur is wider than it needs.
-
-    Its curve holds no bias of windows, so any scale does, also between whole ones: pictures of 1.2 times as many px a
-    side would take twice the time, and what their finer pixels tell lies beyond its bands.
-    """
+    """Return the scale of quality accurate: `working_scale`, or more where blur is wider than it needs."""
     scale, blur, sensor = working_scale(calibration), calibration.field_blur(), calibration.sensor
     if blur is None or not calibration.is_calibrated:
         return scale

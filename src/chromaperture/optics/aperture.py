@@ -47,7 +47,7 @@ def _film(**transmissions: tuple[float, float, float]) -> dict[str, Filter]:
 
 # "real": stage-light film before a Bayer sensor; it reproduces the paper's Table 1 for designs V and VII.
 # "leaky": crosstalk of the size measured by Setterfield et al. (2019) on a triple-pinhole camera, where a
-# filter passed .10 to .47 in a wrong channel against .25 to .39 in its own.
+# filter passed 0.10 to 0.47 in a wrong channel against 0.25 to 0.39 in its own.
 FILMS: dict[str, dict[str, Filter]] = {
     "ideal": {f.name: f for f in (RED, GREEN, BLUE, CYAN, MAGENTA, YELLOW)},
     "real": _film(
@@ -204,10 +204,7 @@ class Aperture:
         raise InputError(f"aperture {self.name!r} has no {name!r} filter")
 
     def with_film(self, film: Mapping[str, Sequence[float] | np.ndarray]) -> Aperture:
-        """Replace film in the same geometry; ``film`` holds the transmission in R, G, B, (3,), by the filter's name.
-
-        Measured ones may lie somewhat outside 0 to 1, by uneven light or a colour matrix; here they end there.
-        """
+        """Replace film in the same geometry, by names; transmissions measured beyond 0 to 1 end there."""
 
         def swap(part: SubAperture) -> SubAperture:
             if part.filter.name not in film:
@@ -233,10 +230,7 @@ class Aperture:
 
 @cache
 def pupil_grid(samples: int = 1000) -> tuple[np.ndarray, np.ndarray]:
-    """Compute midpoints of a square grid over [-1, 1]^2, in pupil radii; two (samples, samples) arrays.
-
-    An even count keeps the midpoints off the axes, so that mirrored halves are equal.
-    """
+    """Compute midpoints of a square grid over the pupil's [-1, 1]^2; an even count has none on the axes."""
     axis = (np.arange(samples) + 0.5) * 2 / samples - 1
     x, y = np.meshgrid(axis, axis)
     return x, y
@@ -244,10 +238,7 @@ def pupil_grid(samples: int = 1000) -> tuple[np.ndarray, np.ndarray]:
 
 @cache
 def _piece_moments(shapes: tuple[Shape, ...]) -> np.ndarray:
-    """Integrate area and first moments of every piece and, last, of the rest of the pupil; (P + 1, 3).
-
-    Independent of film: one integration is enough for every film and every combination of channels.
-    """
+    """Integrate area and first moments of every piece and, last, of the rest of the pupil; (P + 1, 3)."""
     x, y = pupil_grid()
     piece = np.full(x.shape, len(shapes), np.int8)
     for i, shape in enumerate(shapes):
@@ -269,11 +260,7 @@ def channel_transmission(aperture: Aperture) -> np.ndarray:
 
 
 def centroids(aperture: Aperture, unmixing: np.ndarray | None = None) -> np.ndarray:
-    """Compute the centroid of each channel's pupil function, pupil radii; (K, 2) float64, NaN without light.
-
-    ``unmixing`` (K, 3) float: rows q are combinations of R, G, B, whose pupil function is ``sum_k q_k A_k``: unmixing
-    moves the centroids outwards. The identity when absent.
-    """
+    """Compute the centroid of each channel's, or each unmixed combination's, light; (K, 2) pupil radii."""
     rows = np.eye(3) if unmixing is None else np.asarray(unmixing, float)
     moments = rows @ channel_moments(aperture)
     mass = moments[:, :1]
@@ -282,10 +269,7 @@ def centroids(aperture: Aperture, unmixing: np.ndarray | None = None) -> np.ndar
 
 
 def made_of(aperture: Aperture, film: str) -> Aperture:
-    """Replace the film of a design by a named set (``ideal``, ``real``, ``leaky``).
-
-    Raises InputError: the film has no such colour, or its name is unknown.
-    """
+    """Replace the film of a design by a named set (``ideal``, ``real``, ``leaky``)."""
     sheets = film_named(film) | FIXED
     missing = sorted({part.filter.name for part in aperture.parts} - set(sheets))
     if missing:
@@ -294,11 +278,7 @@ def made_of(aperture: Aperture, film: str) -> Aperture:
 
 
 def checked_aperture(aperture: Aperture) -> Aperture:
-    """Validate a user's design and return it; pieces may extend beyond the pupil, which cuts them.
-
-    Raises InputError: more than `MOST_PIECES` pieces, a piece wholly outside the pupil, two that overlap, a view that
-    names no piece, or no light passes.
-    """
+    """Validate a user's design and return it; pieces may extend beyond the pupil, which cuts them."""
     if len(aperture.parts) > MOST_PIECES:
         raise InputError(f"aperture {aperture.name!r} has {len(aperture.parts)} pieces, more than {MOST_PIECES}")
     x, y = pupil_grid(400)
@@ -427,10 +407,7 @@ def film_unmixing(aperture: Aperture) -> np.ndarray:
 
 
 def aperture_figures(aperture: Aperture, unmixing: np.ndarray | None = None) -> ApertureFigures:
-    """Compute the figures of a design for the sensor's channels, or for combinations of them.
-
-    ``unmixing`` (K, 3) float: rows are combinations of R, G, B; see `film_unmixing`. The identity when absent.
-    """
+    """Compute the figures of a design for the sensor's channels, or for combinations of them."""
     transmission = channel_transmission(aperture)
     rho = centroids(aperture, unmixing)
     seen = rho[np.isfinite(rho).all(axis=1)]

@@ -58,11 +58,7 @@ def expected_accuracy(
     texture: Texture | None = None,
     exposure: float = 1.0,
 ) -> ExpectedAccuracy:
-    """Compute the lower bound of a design's depth error.
-
-    ``depth_mm`` (N,) float: from the sensor plane; ``exposure``: factor on the light, the same for all designs of a
-    comparison. Raises InputError: a distance behind the camera.
-    """
+    """Compute the lower bound of a design's depth error at distances, (N,) mm from the sensor plane."""
     sensor, texture = sensor or SensorModel(), texture or Texture()
     depth = np.atleast_1d(np.asarray(depth_mm, float))
     radius = camera.blur_radius_px(depth)

@@ -32,7 +32,7 @@ PointTransforms = Callable[[np.ndarray, np.ndarray, int, int], np.ndarray]
 _POINTS = 1500  # samples of the pupil: ten times as many change the transfer functions by 1e-3
 _RIM_SOFTNESS = 0.06  # pupil radii over which a rim fades, being out of focus at the stop; chosen by hand, not tuned
 # Distance of two channels' centroids over that of the widest pair; chosen by hand, not tuned: complementary halves
-# give 1, .5 and .5, three equal filters 1, 1 and 1.
+# give 1, 0.5 and 0.5, three equal filters 1, 1 and 1.
 _WIDE = 0.7  # at least: a primary pair
 _NARROW = 0.3  # at least, but below _WIDE: a secondary pair
 _RAMP = 16 / (3 * np.pi)  # slope of a ramp whose centroid over a disc is that of a step: 4 * 4 / (3 pi)
@@ -114,11 +114,7 @@ def sample_pupil(aperture: Aperture) -> PupilSamples:
 def displacement(
     model: BlurModel, points: np.ndarray, position: np.ndarray, inverse_mm: float, channel: int
 ) -> np.ndarray:
-    """Compute where rays through pupil points meet the sensor, relative to the chief ray of green.
-
-    ``points`` (N, 2) float, pupil radii; ``position`` (2,) float: frame position from the centre, in half widths;
-    ``inverse_mm`` float, 1/mm: 1 / z, z from the entrance pupil; ``channel`` {0, 1, 2}. Returns (N, 2) float64, px.
-    """
+    """Compute where rays through pupil points meet the sensor, relative to green's chief ray; (N, 2) px."""
     return displacements(model, points, position, inverse_mm, (channel,))[0]
 
 
@@ -165,11 +161,7 @@ def rims(model: BlurModel, points: np.ndarray, position: np.ndarray) -> np.ndarr
 
 
 def splat(points_px: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
-    """Add weighted points to the four pixels around them (bilinear), with periodic borders.
-
-    ``points_px`` (N, 2) float64: (x, y), px; ``weights`` (N,) float64; ``out`` (S, S) float32: is added to.
-    `chromaperture.optics.splat_kernels.splat` is the same, compiled.
-    """
+    """Add weighted points (x, y) to the four pixels around them, with periodic borders; as `splat_kernels.splat`."""
     size = len(out)
     corner = np.floor(points_px).astype(int)
     tx, ty = (points_px - corner).T
@@ -180,12 +172,7 @@ def splat(points_px: np.ndarray, weights: np.ndarray, out: np.ndarray) -> None:
 
 
 def point_transforms(points_px: np.ndarray, weights: np.ndarray, size: int, samples: int) -> np.ndarray:
-    """Fourier transform of weighted points in a periodic square; `splat_kernels` has the same, compiled.
-
-    ``points_px`` (C, N, 2) float64: (x, y) of the points of each of C pictures; ``weights`` (C, N) float64; ``size``:
-    side of the square; ``samples``: at most ``size``; frequencies of less than half a cycle in a ``samples``-th of the
-    side are kept, if it is less. Returns (C, samples, samples // 2 + 1) complex64.
-    """
+    """Fourier transform of weighted points in a periodic square, low frequencies only; as `splat_kernels`."""
     pictures = np.zeros((len(points_px), size, size), np.float32)
     for points, weight, picture in zip(points_px, weights, pictures, strict=True):
         splat(points, weight, picture)
@@ -307,10 +294,7 @@ class LensBlur:
         return np.asarray(apart / np.hypot(*apart))
 
     def half_disparity(self, x_px: float, y_px: float) -> tuple[float, float]:
-        """Compute half the distance of the widest pair's centroids on the sensor, a - b / z.
-
-        Returns ``a, b`` float, px and px mm.
-        """
+        """Return a, b: half the distance, px, of the widest pair's centroids on the sensor is a - b / z."""
         position = self.frame_position(x_px, y_px)
         rim = rims(self.model, self.pupil.points, position)
         light = self.light_at(position)
@@ -368,11 +352,7 @@ def traced(blur: LensBlur, image_px: tuple[float, float], inverse_mm: float) -> 
 
 
 def transfer_at(rays: ChannelRays, *, step: float, count: int) -> np.ndarray:
-    """Compute the transfer function on a lattice of frequencies.
-
-    ``step`` float, cycles/px: between two frequencies; ``count``: the lattice extends from -count to count steps in y,
-    from 0 to count in x. Returns (2 count + 1, count + 1) complex64, 1 at frequency 0.
-    """
+    """Compute the transfer function on a lattice of frequencies, (2 count + 1, count + 1), 1 at 0."""
     # Powers of the first frequency's phase factors: one multiplication each instead of one exponential.
     factors = np.empty((2, count + 1, len(rays.weights)), np.complex128)
     factors[:, 0] = 1
@@ -383,11 +363,7 @@ def transfer_at(rays: ChannelRays, *, step: float, count: int) -> np.ndarray:
 
 
 def lens_kernels(blur: LensBlur, image_px: tuple[float, float], inverse_mm: float) -> np.ndarray:
-    """Compute the point-spread functions of the three channels, band-limited to the sampling rate.
-
-    ``image_px`` (x, y); ``inverse_mm`` float, 1/mm. Returns (3, s, s) float32 of unit sum, with the centre view's
-    position at [s // 2, s // 2]; s is odd.
-    """
+    """Compute the channels' point spreads, (3, s, s) of unit sum about the centre view, at a distance."""
     rays = traced(blur, image_px, inverse_mm)
     reach = math.ceil(max(float(np.abs(r.points_px).max()) for r in rays)) + _MARGIN_PX
     side = 2 * reach + 1

@@ -53,11 +53,7 @@ def _matrix(lens: Prescription, wavelength_um: float, first: int, last: int) -> 
 
 @lru_cache(maxsize=64)
 def paraxial(lens: Prescription, *, wavelength_um: float | None = None) -> Paraxial:
-    """Compute the first-order data of a lens.
-
-    ``wavelength_um``: green when absent. Raises InputError: the lens has no power, or its stop is imaged to infinity by
-    either half, or the sensor lies inside the focus.
-    """
+    """Compute the first-order data of a lens, in green when no wavelength is given."""
     wave = lens.wavelengths_um[1] if wavelength_um is None else wavelength_um
     n, stop, count = lens.indices(wave), lens.stop_index, len(lens.surfaces)
     vertices = lens.vertices_mm
@@ -116,11 +112,7 @@ def _conjugate(gap: float, whole: np.ndarray, name: str) -> float:
 
 
 def focused_at(lens: Prescription, distance_mm: float) -> Prescription:
-    """Move the sensor so that a distance is in focus paraxially.
-
-    ``distance_mm``: from the sensor plane; inf is allowed. Raises InputError: too close: object and image are at least
-    four focal lengths apart.
-    """
+    """Move the sensor so that a distance from it, or inf, is in focus paraxially."""
     data = paraxial(replace(lens, sensor_gap_mm=1e6))
     f = data.focal_length_mm
     if not distance_mm > 0:
@@ -178,11 +170,7 @@ class PupilCamera:
         return self.image_distance_mm / (2 * self.pupil_radius_mm)
 
     def blur_radius_px(self, depth_mm: np.ndarray | float) -> np.ndarray:
-        """Compute the displacement of the pupil's edge, r = (F R / mu)(1 / z_f - 1 / z), + beyond the focus: Eq. (5).
-
-        ``depth_mm`` (...) float: distance from the sensor plane; NaN stays NaN, inf is allowed. Returns (...) float64,
-        px. Raises InputError: a depth at or behind the entrance pupil.
-        """
+        """Compute r = (F R / mu)(1 / z_f - 1 / z), px, + beyond the focus: Eq. (5); depth is from the sensor."""
         z = np.asarray(depth_mm, float) - self.sensor_to_pupil_mm
         if np.any(z <= 0):
             raise InputError(

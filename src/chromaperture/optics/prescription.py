@@ -88,10 +88,7 @@ def lens_names() -> list[str]:
 
 
 def load_lens(name_or_path: str | Path) -> Prescription:
-    """Load a lens of the package by its name, or a user's from a TOML file.
-
-    Raises InputError: unknown name, missing or malformed file; see `lens_from_dict`.
-    """
+    """Load a lens of the package by its name, or a user's from a TOML file, see `lens_from_dict`."""
     name = str(name_or_path)
     if not name.endswith(".toml"):
         if name not in lens_names():
@@ -139,13 +136,8 @@ def lens_from_dict(data: Mapping[str, Any], *, name: str) -> Prescription:
     table = checked(_LensTable, dict(data), where=f"lens {quoted(name)}")
     surfaces = tuple(
         Surface(
-            radius_mm=row.radius_mm,
-            thickness_mm=row.thickness_mm,
-            index_d=row.index_d,
-            abbe=row.abbe,
+            **row.model_dump(exclude={"clear_diameter_mm", "stop"}),
             semi_diameter_mm=row.clear_diameter_mm / 2,
-            conic=row.conic,
-            coefficients=row.coefficients,
             role="stop" if row.stop else "",
         )
         for row in table.surface
@@ -186,12 +178,7 @@ def checked_lens(lens: Prescription) -> Prescription:
 
 
 def with_filter_at(lens: Prescription, offset_mm: float) -> Prescription:
-    """Move the colour filters off the stop, along the axis.
-
-    ``offset_mm``: + towards the sensor; in front of the first vertex is allowed, as for film on a smartphone's lens.
-    Returns with an added filter plane; pupil coordinates stay in units of the stop's radius. Raises InputError: the
-    plane would lie inside a glass or beyond the last vertex.
-    """
+    """Move the colour filters off the stop, + towards the sensor; they may lie in front of the lens."""
     z = float(lens.vertices_mm[lens.stop_index]) + offset_mm
     if z <= 0:
         return replace(lens, surfaces=(Surface(thickness_mm=-z, role="filter"), *lens.surfaces))

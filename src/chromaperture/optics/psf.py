@@ -61,13 +61,7 @@ _kept_otf = lru_cache(maxsize=48)(_otf)
 
 
 def geometric_psf(aperture: Aperture, radius_px: float, size: int, *, oversampling: int = 1) -> np.ndarray:
-    """Compute point-spread functions integrated over pixels, centred in an odd square.
-
-    ``radius_px``: signed blur radius r; ``size``: side of the result in px, odd, more than twice the radius;
-    ``oversampling``: samples per pixel, odd. Whole pixels move a small blur's centroid, at r = 2 px by 2 %. Returns (3,
-    size * oversampling, size * oversampling) float64, unit sum (0 for a channel without light). Raises InputError: the
-    square cannot hold the blur.
-    """
+    """Compute point spreads of a signed blur radius, integrated over pixels; unit sum, odd square."""
     if size % 2 == 0 or oversampling % 2 == 0 or size < 2 * abs(radius_px) + 1:
         need = 2 * abs(radius_px) + 1
         raise InputError(f"a blur of radius {radius_px:g} px needs an odd kernel of at least {need:.0f} px")
@@ -82,11 +76,7 @@ def geometric_psf(aperture: Aperture, radius_px: float, size: int, *, oversampli
 
 @lru_cache(maxsize=64)
 def pupil_samples(aperture: Aperture, cells: int, supersampling: int = 8) -> tuple[np.ndarray, np.ndarray]:
-    """Sample the pupil by the cells of a square grid: points (S, 2), pupil radii, and light in R, G, B (S, 3).
-
-    Every cell averages ``supersampling**2`` midpoints, so that one cut by a rim is weighted by its area; with an even
-    count of cells a division along an axis lies between them. The light sums to the channel transmissions.
-    """
+    """Sample the pupil by the cells of a grid: points (S, 2), and light in R, G, B (S, 3) weighted by area."""
     fine = cells * supersampling
     axis = (np.arange(fine) + 0.5) * 2 / fine - 1
     x, y = np.meshgrid(axis, axis)

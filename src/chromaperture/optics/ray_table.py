@@ -41,12 +41,7 @@ class TracedRays:
 def trace(
     lens: Prescription, origin: np.ndarray, direction: np.ndarray, *, wavelength_um: float, from_sensor: bool = False
 ) -> TracedRays:
-    """Trace rays through a lens.
-
-    ``origin``, ``direction`` (N, 3) float, mm: lens frame: z towards the sensor, 0 at the first vertex; x, y as in the
-    camera frame. Directions need not be normalised and must point towards the lens; ``from_sensor``: trace from the
-    sensor to the scene.
-    """
+    """Trace rays (N, 3), mm in the lens frame (z towards the sensor, 0 at the first vertex), through a lens."""
     order = np.arange(len(lens.surfaces))
     index = lens.indices(wavelength_um)
     before, behind = index[:-1], index[1:]
@@ -174,10 +169,7 @@ class RayTable:
 
 
 def pinhole_rays(camera: PupilCamera, aperture: Aperture, *, cells: int = 20) -> RayTable:
-    """Tabulate the rays of a first-order camera; they are linear in the image, so its four corners are enough.
-
-    ``cells``: pupil samples across the pupil, even; their number is about 0.8 cells^2.
-    """
+    """Tabulate the rays of a first-order camera, linear in the image: the four corners are enough."""
     points, light = pupil_samples(aperture, cells)
     lit = light.any(axis=1)
     points, light = points[lit], light[lit]
@@ -251,10 +243,7 @@ def lens_rays(
 
 
 def _filled(rays: np.ndarray, chief: np.ndarray, image_mm: np.ndarray) -> np.ndarray:
-    """Extrapolate rays that miss the glass from the nearest image point, for the interpolation; (P, S, 2).
-
-    They carry no light. Their difference from the chief ray is copied.
-    """
+    """Extrapolate rays that miss the glass, and carry no light, from the nearest image point; (P, S, 2)."""
     rays = rays - chief[:, None]
     for s in np.flatnonzero(np.isnan(rays).any(axis=(0, 2))):
         missing = np.isnan(rays[:, s, 0])
@@ -280,10 +269,7 @@ def _open_light(lens: Prescription, cells: int) -> float:
 
 
 def _from_sensor(lens, image_mm, pupil, wavelength_um):  # type: ignore[no-untyped-def]
-    """Trace one ray for each pair of image point and exit-pupil point, (N, 2) each, to the scene.
-
-    Returns origins and slopes at the entrance pupil, (N, 2) each, and the traced rays.
-    """
+    """Trace a ray for each pair of image and exit-pupil point; returns origins, slopes and the traced rays."""
     data, first = paraxial(lens), lens.first_vertex_to_sensor_mm
     # Upright picture: the image point (x, y) lies at (-x, -y) on the sensor.
     start = np.column_stack([-image_mm, np.full(len(image_mm), first)])
@@ -311,12 +297,7 @@ def _exit_points(cells: int) -> np.ndarray:
 def lens_bundle(
     lens: Prescription, image_mm: np.ndarray, *, wavelength_um: float, cells: int = 20
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Trace the rays of image points through a lens to the scene.
-
-    ``image_mm`` (P, 2) float: image points from the image's centre, upright picture, mm on the sensor; ``cells``:
-    samples across the exit pupil. Returns ``origin, slope`` (P, S, 2) float64: camera frame, origin in the plane of the
-    entrance pupil, mm. NaN where no ray passes the glass.
-    """
+    """Trace rays of image points (P, 2), mm, to the scene: origin, slope (P, S, 2), NaN where glass stops them."""
     points = _exit_points(cells)
     origin, slope, _ = _from_sensor(lens, *_all_pairs(image_mm, points), wavelength_um)
     shape = (len(image_mm), len(points), 2)
@@ -324,12 +305,7 @@ def lens_bundle(
 
 
 def lens_light(lens: Prescription, aperture: Aperture, image_mm: np.ndarray, *, cells: int = 20) -> np.ndarray:
-    """Compute the light of each ray of `lens_bundle` in R, G, B, proportional to the irradiance on the sensor.
-
-    Vignetting is that of green rays: between the colours these points of the pupil move by about 1e-3 radii.
-
-    ``image_mm`` (P, 2) float. Returns (3, P, S) float64; 0 where stop, rims or film block the ray.
-    """
+    """Compute the light of each ray of `lens_bundle` in R, G, B, (3, P, S), vignetted as green is."""
     data = paraxial(lens)
     points = _exit_points(cells)
     offsets = ((np.arange(_SPLIT) + 0.5) / _SPLIT - 0.5) * 2 * _REACH / cells
@@ -348,12 +324,7 @@ def lens_light(lens: Prescription, aperture: Aperture, image_mm: np.ndarray, *, 
 
 
 def chief_rays(lens: Prescription, image_mm: np.ndarray) -> np.ndarray:
-    """Trace green rays through the stop's centre.
-
-    ``image_mm`` (P, 2) float: image points from the image's centre, upright picture. Returns (P, 4) float64: origin x,
-    y in the plane of the entrance pupil (mm), slope x, y. Raises InputError: the stop's centre cannot be reached from
-    an image point.
-    """
+    """Trace green rays of image points (P, 2), mm, through the stop's centre: origin and slope, (P, 4)."""
     aim = np.zeros((len(image_mm), 2))
     step = 1e-3
     for _ in range(20):  # Newton with a finite-difference Jacobian on where the ray crosses the stop

@@ -1,13 +1,9 @@
 """Transforms of point-spread functions, compiled; the same in NumPy is `chromaperture.optics.lens_blur`.
 
-A narrow point-spread function is a small square of pixels, and its transform two products of matrices: rows with
-exp(-i w x), then columns with exp(-i w y), at the frequencies that are kept and no others. Its even and odd parts are
-added up first, which halves either product. For a blur of 20 px in a tile of 240 that is three times as fast as a fast
-Fourier transform of the tile.
-
-Wider ones go through the fast transform, two pictures at once, as the real and the imaginary part of one: the first is
-the even (Hermitian) part of the result, the second the odd one. OpenCV does that three times as fast as SciPy does both
-(160 x 160 px).
+A narrow one is a small square of pixels, and its transform two products of matrices, rows and then columns, at the
+frequencies that are kept, even and odd parts apart: for 20 px in a tile of 240 three times as fast as the fast
+transform. Wider ones go through OpenCV's fast transform, two pictures at once as the real and the imaginary part of
+one, whose even (Hermitian) part is the first's.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Measure many photographs: one after the other, in processes of this machine, or on a Dask cluster.
 
-A photograph that cannot be measured is a failure among the results, and the others are measured. ``STEM.json`` is
-written last and names what the results were made from, so a photograph is either complete or measured again, whichever
-process died when. A process of this machine that dies, as for lack of memory, costs the photograph it measured; another
-takes its place.
+One that cannot be measured is a failure among the results. ``STEM.json`` is written last and names what the results
+were made from: a photograph is either complete or measured again, whichever process died when.
 """
 
 from __future__ import annotations
@@ -186,10 +184,7 @@ def recipe_for(
     inspect: Inspect = measure_everything,
     again: bool = False,
 ) -> Recipe:
-    """Put together what workers need; ``json`` is always among the outputs, because it marks what is complete.
-
-    Raises InputError: an output is unknown, or the camera file cannot be read.
-    """
+    """Put together what workers need; ``json`` is always among the outputs, because it marks what is complete."""
     chosen = chosen_outputs(write, is_calibrated=camera.calibration.is_calibrated)
     outputs = tuple(name for name in OUTPUTS if name in {*chosen, "json"})
     settings = {
@@ -254,11 +249,7 @@ def _mark(folder: str, stem: str) -> Any:
 
 
 def measure_on_cluster(images: Iterable[str], recipe: Recipe, address: str) -> Iterator[Outcome]:
-    """Measure photographs on the workers of a scheduler; every one has one outcome, in the order they finish.
-
-    Raises InputError: the cluster cannot be reached or is lost, no worker is left, or one has another version of the
-    package. What is complete is kept, and the same call goes on from there.
-    """
+    """Measure photographs on a scheduler's workers, outcomes as they finish; the same call resumes."""
     with connected(address) as client:
         for finished in run_tasks(client, measure_photograph, map(store.absolute, images), recipe):
             error = finished.error
@@ -273,11 +264,7 @@ def measure_on_cluster(images: Iterable[str], recipe: Recipe, address: str) -> I
 
 
 def measure_photograph(image: str, recipe: Recipe) -> Outcome:
-    """Measure a photograph and write its results, unless they are complete; runs on a worker.
-
-    Returns with the error of a photograph that cannot be measured. The cluster tries no such photograph again. Raises
-    StoreError: a store failed in a way that may pass; Dask tries again.
-    """
+    """Measure a photograph on a worker unless it is complete; StoreError alone is worth another attempt."""
     version = metadata.version("chromaperture")
     here = _worker()
     origin: dict[str, Any] = {"worker": "" if here is None else str(here.address), "version": version}
@@ -347,11 +334,7 @@ DIED = "the process that measured it died, perhaps for lack of memory; run again
 
 
 def measure_in_processes(images: Sequence[str], recipe: Recipe, *, jobs: int) -> Iterator[Outcome]:
-    """Measure photographs, ``jobs`` at a time, each process with its share of the threads.
-
-    ``images``: absolute paths; ``jobs``: each needs the memory of one measurement. Yields one for each photograph, in
-    the order they finish. An abandoned iteration ends the processes.
-    """
+    """Measure photographs, by absolute paths, ``jobs`` at a time, in processes; yields as they finish."""
     waiting, lock = iter(images), threading.Lock()
     finished: SimpleQueue[Outcome] = SimpleQueue()
     pool = _WorkerPool(recipe, max(1, thread_count() // jobs))

@@ -12,7 +12,7 @@ from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from chromaperture.capture.shots import counted, one_of_each
-from chromaperture.system.errors import ChromapertureError, InputError, MissingDependencyError
+from chromaperture.system.errors import ChromapertureError, InputError, needed
 
 # Stores where an object appears whole when its upload ends, so that it needs no temporary name.
 _WHOLE_OBJECTS = {"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "oci", "memory"}
@@ -55,13 +55,7 @@ def joined(folder: str, name: str) -> str:
 def find_photographs(
     inputs: Iterable[str], *, kind: Callable[[], str] = lambda: "", left_out: dict[Path, str] | None = None
 ) -> list[str]:
-    """Expand folders and patterns to the photographs in them, without results of earlier runs, by name.
-
-    A pattern is one of `glob`, ``**`` for folders at any depth. Everything else is returned as given.
-
-    ``kind``: see `one_of_each`; ``left_out``: gets the pictures and videos that were left out, with the reason. Raises
-    InputError: a folder or a pattern has no photographs, or a store cannot be listed.
-    """
+    """Expand folders and patterns to photographs, without earlier results; ``left_out`` gets the others."""
     photographs: list[str] = []
     for given in inputs:
         found = _in_store(given) if is_url(given) else _on_disk(given)
@@ -171,10 +165,7 @@ def remove(folder: str, name: str) -> None:
 
 
 def upload(files: Iterable[Path], folder: str) -> None:
-    """Put files into a store in this order, each visible only when it is whole.
-
-    Raises InputError: the store refuses; StoreError where another attempt may succeed.
-    """
+    """Put files into a store in this order, each visible only when whole; StoreError may pass, InputError not."""
     with _reported("write to", folder):
         store, inside = _opened(folder)
         protocols = {store.protocol} if isinstance(store.protocol, str) else set(store.protocol)
@@ -192,10 +183,7 @@ def upload(files: Iterable[Path], folder: str) -> None:
 
 def _opened(url: str) -> tuple[Any, str]:
     """Return the store of a URL and the path inside it; credentials come from the environment, see fsspec."""
-    try:
-        import fsspec
-    except ImportError:
-        raise MissingDependencyError(f"{url} needs the extra: pip install 'chromaperture[cluster]'") from None
+    fsspec = needed("fsspec", f"{url} needs the extra: pip install 'chromaperture[cluster]'")
     try:
         store, path = fsspec.url_to_fs(url)
     except ImportError as error:

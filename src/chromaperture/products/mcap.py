@@ -10,7 +10,7 @@ import numpy as np
 
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
 from chromaperture.products.rectified import View
-from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import InputError, needed
 from chromaperture.system.storage import staged
 
 _FRAME = "camera_optical_frame"
@@ -90,13 +90,10 @@ def write_mcap(
     InputError
         The file cannot be written, the disk is full, or there was no frame.
     """
-    try:
-        from mcap_ros2.writer import Writer
-    except ImportError:
-        raise MissingDependencyError("MCAP files need the extra: pip install 'chromaperture[ros]'") from None
+    writing = needed("mcap_ros2.writer", "MCAP files need the extra: pip install 'chromaperture[ros]'")
     path, count = Path(path), 0
     with staged(path.parent) as stage, stage.path(path.name).open("wb") as file:
-        writer = Writer(file)
+        writer = writing.Writer(file)
         image = writer.register_msgdef("sensor_msgs/msg/Image", _IMAGE)
         info = writer.register_msgdef("sensor_msgs/msg/CameraInfo", _CAMERA_INFO)
         for frame in frames:

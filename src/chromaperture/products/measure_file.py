@@ -79,10 +79,7 @@ class MeasuredFile:
         return 0 if self.form is None else self.form.turn_degrees
 
     def write(self, *, made_from: Mapping[str, str] | None = None) -> Written:
-        """Write the files, whole or not at all, ``STEM.json`` last; raises InputError where the folder cannot be used.
-
-        ``made_from`` goes into ``STEM.json``: from what a later run recognises that this measurement is complete.
-        """
+        """Write the files, whole or not at all, ``STEM.json`` last, by which a later run knows ``made_from``."""
         clock, stem, frame = StageClock(), self.path.stem, self.frame
         title = self.path.name
         if frame.calibration is not None:
@@ -183,10 +180,7 @@ def measure_only(
     caption: str = "",
     depth_range_mm: tuple[float, float] | None = None,
 ) -> MeasuredFile:
-    """Measure one image file; `MeasuredFile.write` writes the results. Parameters as `measure_file`.
-
-    Raises InputError: the image cannot be used, or an output is unknown.
-    """
+    """Measure one image file, parameters as `measure_file`; `MeasuredFile.write` writes the results."""
     path = Path(path)
     outputs = chosen_outputs(write, is_calibrated=camera.calibration.is_calibrated)
     clock = StageClock(listener)
@@ -239,10 +233,7 @@ def write_maps(
     *,
     max_relative_sigma: float = MAX_RELATIVE_SIGMA,
 ) -> None:
-    """Write every map of a frame; depth, error bar and points only where the camera is calibrated.
-
-    ``STEM.depth.tiff`` is whole, beside ``STEM.sigma.tiff``; the PNG and the points are limited by `within_error`.
-    """
+    """Write every map of a frame; depth and points only where calibrated, PNG and points `within_error`."""
     outputs = chosen_outputs(None, is_calibrated=camera.calibration.is_calibrated)
     maps = [name for name in outputs if name not in ("preview", "json")]
     frame_files.write_maps(target, stem, frame, maps, max_relative_sigma=max_relative_sigma)

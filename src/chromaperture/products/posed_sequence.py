@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
+from chromaperture.depth.pointcloud import ply_header, ply_vertices
 from chromaperture.files.pictures import write_depth_png, write_png
 from chromaperture.products.rectified import View
 from chromaperture.system.errors import InputError
@@ -254,12 +255,8 @@ def _write_nerfstudio(
     (folder / "transforms.json").write_text(json.dumps(tree, indent=1) + "\n", encoding="ascii")
     points = np.concatenate([_world_m(frame, pose) for frame, pose in placed])
     colors = np.concatenate([frame.colors for frame, _ in placed])
-    vertices = np.empty(len(points), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])
-    vertices["xyz"], vertices["rgb"] = points, colors
-    header = ["ply", "format binary_little_endian 1.0", "comment unit: m; world of transforms.json",
-              f"element vertex {len(points)}", *(f"property float {n}" for n in "xyz"),
-              *(f"property uchar {n}" for n in ("red", "green", "blue")), "end_header\n"]  # fmt: skip
-    (folder / "points_m.ply").write_bytes("\n".join(header).encode("ascii") + vertices.tobytes())
+    header = ply_header(len(points), "m; world of transforms.json")
+    (folder / "points_m.ply").write_bytes(header + ply_vertices(points, colors).tobytes())
 
 
 def _write_open3d(folder: Path, size: tuple[int, int], matrix: np.ndarray) -> None:
@@ -269,14 +266,7 @@ def _write_open3d(folder: Path, size: tuple[int, int], matrix: np.ndarray) -> No
 
 
 def read_trajectory(path: str | Path) -> Callable[[list[tuple[int, float]]], dict[int, np.ndarray]]:
-    """Read a trajectory in the TUM format, such as ``trajectory.txt`` of ``chromaperture reconstruct``.
-
-    Lines are ``time tx ty tz qx qy qz qw``: s and m, camera to world. Only the lines before a second "# submap", which
-    has an origin of its own, are taken.
-
-    Returns from (index, time_s) of frames to their poses, (4, 4), mm; for `write_posed`. Raises InputError: the file
-    cannot be read, or a line is no pose.
-    """
+    """Read the first submap of a TUM trajectory; returns poses (4, 4), mm, of (index, time_s) for `write_posed`."""
     path = Path(path)
     poses: dict[float, np.ndarray] = {}
     for number, line in enumerate(

@@ -57,12 +57,7 @@ def stem_and_output(path: Path) -> tuple[str, str | None]:
 
 
 def read_depth(path: str | Path, *, name: str | None = None) -> StoredDepth:
-    """Read a depth map in mm, and the error bar of ``STEM.sigma.tiff`` beside ``STEM.depth.tiff`` or ``.png``.
-
-    ``path``: float TIFF or NumPy array in mm, NaN unknown; 16-bit PNG in whole mm, 0 unknown; or our EXR. Of other
-    results of ``chromaperture depth`` the depth map beside them is taken; ``name``: how it is called in messages and on
-    pages; that of the file when absent. Raises InputError: there is no such file, or it holds no map.
-    """
+    """Read a depth map in mm (TIFF, PNG, .npy, EXR), named for messages, with the error bar beside it."""
     path = Path(path)
     stem, output = stem_and_output(path)
     if output == "exr":
@@ -88,10 +83,7 @@ def picture_beside(path: Path) -> np.ndarray | None:
 
 
 def read_result(path: str | Path) -> StoredResult:
-    """Read all results that lie beside a file of ``chromaperture depth``; of another file, its map or its points.
-
-    Raises InputError: there is no such file, or it holds nothing that can be shown.
-    """
+    """Read all results that lie beside a file of ``chromaperture depth``; of another file, its map or its points."""
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path} is no file; give one of the files that 'chromaperture depth' wrote")
@@ -150,10 +142,7 @@ def _picture(path: Path) -> np.ndarray:
 
 
 def read_ply(path: str | Path) -> PointCloud:
-    """Read the points of a binary PLY in mm; faces are left out, points without colours are grey.
-
-    Raises InputError: the file is damaged, or not binary and little-endian.
-    """
+    """Read the points of a binary PLY in mm; faces are left out, points without colours are grey."""
     path = Path(path)
     data = read_bytes(path, most_bytes=_MOST_BYTES)
     head, mark, _ = data[:_HEADER_BYTES].partition(b"end_header\n")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
-import struct
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -16,6 +14,8 @@ import numpy as np
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.capture.source import Frame
 from chromaperture.color.srgb import srgb_to_linear
+from chromaperture.depth.pointcloud import ply_header, ply_vertices
+from chromaperture.files.textured_mesh import glb_file
 from chromaperture.products.rectified import View, of_stream, undistorter
 from chromaperture.reconstruction.fusion import Placed, Reconstruction
 from chromaperture.reconstruction.settings import ReconstructionConfig
@@ -32,12 +32,7 @@ def reconstruct(
     listener: Callable[[str], None] = lambda line: None,
     progress: Callable[[Placed], None] = lambda placed: None,
 ) -> Reconstruction:
-    """Measure, track and fuse frames until they end, or until Ctrl-C: then return the model so far.
-
-    ``camera``: calibrated; ``listener``: receives messages for the user, one line each; ``progress``: receives the
-    result of every frame. Raises MissingDependencyError: the extra ``reconstruct`` is not installed. Raises InputError:
-    a camera that was never calibrated, no frame, or none with depth.
-    """
+    """Measure, track and fuse frames until they end, or until Ctrl-C: then return the model so far."""
     open3d()
     camera, frames = of_stream(camera, frames)
     to_view = undistorter(camera)
@@ -57,10 +52,7 @@ def reconstruct(
 def write_model(
     folder: str | Path, model: Reconstruction, *, facts: dict[str, Any] | None = None
 ) -> tuple[dict[str, Any], list[Path]]:
-    """Write ``mesh.ply`` and ``.glb`` (``mesh_N.*`` of submaps not joined), ``trajectory.txt`` and ``report.json``.
-
-    Returns the report and the files; raises InputError when the folder cannot be written to.
-    """
+    """Write meshes (PLY, GLB), ``trajectory.txt`` and ``report.json``; returns the report and the files."""
     folder, began = Path(folder), time.perf_counter()
     report = (facts or {}) | summary(model)
     sizes = []
@@ -109,10 +101,7 @@ def summary(model: Reconstruction) -> dict[str, Any]:
 
 
 class Tracker:
-    """Poses of views that are seen one by one, for exports; raises MissingDependencyError without Open3D.
-
-    ``camera_matrix`` (3, 3) float, px; ``listener``: receives messages for the user, one line each.
-    """
+    """Poses of views that are seen one by one, for exports; raises MissingDependencyError without Open3D."""
 
     def __init__(self, camera_matrix: np.ndarray, *, listener: Callable[[str], None] = lambda line: None) -> None:
         open3d()
@@ -124,10 +113,7 @@ class Tracker:
         self._model.add(view)
 
     def poses(self, frames: list[tuple[int, float]]) -> dict[int, np.ndarray]:
-        """Return the poses of frames by their index: (4, 4), camera to world, mm.
-
-        Only of the largest part of the sequence that has one world frame; the others are left out, with a message.
-        """
+        """Return poses (4, 4), mm, by index, of the largest part of the frames that has one world."""
         placed = [self._model.in_root(p) for p in self._model.placed]
         tracked = [p for p in placed if p.pose is not None]
         if not tracked:
@@ -141,22 +127,12 @@ class Tracker:
 
 def write_mesh_ply(path: Path, mesh: Mesh) -> None:
     """Write a binary PLY in mm: vertices with 8-bit colours, and triangles."""
-    vertices = np.empty(len(mesh.vertices_mm), dtype=[("xyz", "<f4", 3), ("rgb", "u1", 3)])
-    vertices["xyz"], vertices["rgb"] = mesh.vertices_mm, mesh.colors
+    vertices = ply_vertices(mesh.vertices_mm, mesh.colors)
     faces = np.empty(len(mesh.triangles), dtype=[("n", "u1"), ("corners", "<i4", 3)])
     faces["n"], faces["corners"] = 3, mesh.triangles
-    lines = [
-        "ply",
-        "format binary_little_endian 1.0",
-        "comment unit: mm; axes of the first camera: x right, y down, z forward",
-        f"element vertex {len(vertices)}",
-        *(f"property float {n}" for n in "xyz"),
-        *(f"property uchar {n}" for n in ("red", "green", "blue")),
-        f"element face {len(faces)}",
-        "property list uchar int vertex_indices",
-        "end_header\n",
-    ]
-    path.write_bytes("\n".join(lines).encode("ascii") + vertices.tobytes() + faces.tobytes())
+    unit = "mm; axes of the first camera: x right, y down, z forward"
+    lists = f"element face {len(faces)}", "property list uchar int vertex_indices"
+    path.write_bytes(ply_header(len(vertices), unit, *lists) + vertices.tobytes() + faces.tobytes())
 
 
 def glb(mesh: Mesh) -> bytes:
@@ -166,10 +142,6 @@ def glb(mesh: Mesh) -> bytes:
     levels = np.rint(srgb_to_linear(np.arange(256, dtype=np.float32) / 255) * 65535)
     colors[:, :3] = levels.astype("<u2")[mesh.colors]
     indices = mesh.triangles.astype("<u4").ravel()
-    parts, views, at = (positions, colors, indices), [], 0  # each a multiple of four bytes, as the format requires
-    for data, target in zip(parts, (34962, 34962, 34963), strict=True):  # vertex data, vertex data, indices
-        views.append({"buffer": 0, "byteOffset": at, "byteLength": data.nbytes, "target": target})
-        at += data.nbytes
     corner = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()} if len(positions) else {}
     tree = {
         "asset": {"version": "2.0", "generator": "chromaperture"},
@@ -183,14 +155,8 @@ def glb(mesh: Mesh) -> bytes:
             {"bufferView": 1, "componentType": 5123, "normalized": True, "count": len(colors), "type": "VEC4"},
             {"bufferView": 2, "componentType": 5125, "count": len(indices), "type": "SCALAR"},
         ],
-        "bufferViews": views,
-        "buffers": [{"byteLength": at}],
     }
-    text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    header = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + at)
-    texts = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", at, b"BIN\0")
-    return b"".join([header, texts, *(part.data for part in parts)])  # one copy: a model has many megabytes
+    return glb_file(tree, [positions, colors, indices])  # each a multiple of four bytes, as the format requires
 
 
 def write_trajectory(path: Path, placed: Iterable[Placed]) -> None:

@@ -97,13 +97,7 @@ def select_points(level: Level) -> np.ndarray:
 def align(
     points: list[np.ndarray], camera: list[Level], motion: np.ndarray, *, depth_weight: float, outlier_mm: float
 ) -> Alignment:
-    """Find the motion from keyframe to camera.
-
-    ``points`` list of (N, 7) float32: `select_points` of the keyframe's levels, the finest first; ``motion`` (4, 4)
-    float: initial guess, keyframe to camera, mm; ``depth_weight``: weight of a pixel's distance relative to its
-    brightness; below 1 because errors of neighbours are correlated; ``outlier_mm``: points whose distance differs by
-    more are outliers. Returns not `solved` where brightness and distances leave the motion undetermined.
-    """
+    """Find the motion, mm, from points of a keyframe's levels (finest first) to a camera's, from a guess."""
     motion = _best_rotation(points[-1], camera[len(points) - 1], np.array(motion, float), outlier_mm)
     found, brightness = Alignment(motion), np.array([1.0, 0.0])  # gain and offset
     for cloud, level in reversed(list(zip(points, camera, strict=False))):
@@ -217,12 +211,7 @@ def _add(total, j, weight, residual, unknowns):  # type: ignore[no-untyped-def]
 
 @compiled()
 def normal_equations(points, level, motion, brightness, grey_sigma, depth_weight, outlier_mm):  # type: ignore[no-untyped-def]
-    """Linearise the residuals of the points about a motion.
-
-    Returns the sums of J^T W J (upper triangle) and J^T W r, (44,) float64; and for every point the residual (grey
-    levels, NaN where it is not visible), the grey of the picture there, and whether its distance agrees or differs (0
-    where it is unknown).
-    """
+    """Linearise the points' residuals: sums (44,), and each one's residual, grey and depth agreement."""
     residual, matched = np.empty(len(points), np.float32), np.empty(len(points), np.float32)
     close = np.zeros(len(points), np.uint8)
     rows, columns = level.grey.shape

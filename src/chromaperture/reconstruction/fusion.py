@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 
 from chromaperture.products.rectified import View
-from chromaperture.reconstruction.clean_views import cleaned, scaled
 from chromaperture.reconstruction.settings import ReconstructionConfig
 from chromaperture.reconstruction.tracking import (
     MIN_KNOWN,
@@ -17,7 +16,9 @@ from chromaperture.reconstruction.tracking import (
     Keyframe,
     PreparedView,
     Track,
+    cleaned,
     prepare,
+    scaled,
     track,
     turn_deg,
 )
@@ -27,10 +28,7 @@ _MAX_RATIO = 3.0  # of the predicted interval to the one that the velocity was m
 
 
 class ConstantVelocity:
-    """Motion of a camera between its last two poses.
-
-    ``pose`` (4, 4) float: first pose, camera to world, mm; at rest.
-    """
+    """Motion of a camera between its last two poses (4, 4), mm; at rest with a single one."""
 
     def __init__(self, pose: np.ndarray, time_s: float) -> None:
         self._pose, self._time_s, self._interval_s = pose.copy(), time_s, 0.0
@@ -97,11 +95,7 @@ class Submap:
 
 
 class Reconstruction:
-    """A growing model.
-
-    ``camera_matrix`` (3, 3) float, px; ``listener``: receives a line when tracking is lost or found again, a submap
-    begins or is joined, or the volume is full.
-    """
+    """A growing model, whose listener hears when tracking is lost, submaps begin or join, or it is full."""
 
     def __init__(
         self,
@@ -203,11 +197,7 @@ class Reconstruction:
         return Placed(view.index, view.time_s, self._pose.copy(), found.overlap, found.correlation, self.submap)
 
     def _found(self, view: View, prepared: PreparedView, submap: Submap) -> tuple[Track, bool]:
-        """Track from the predicted pose, the last one, and the keyframes most similar to the view.
-
-        Returns the best, and whether it continues the last pose. Far from the right pose a wrong one fits nearly as
-        well: a fit that is not good is compared with those from other guesses.
-        """
+        """Track from the predicted, last and most similar poses, as wrong ones fit nearly as well; the best."""
         continuous = not self.lost_in_row
         predicted = self._motion.predict(view.time_s) if continuous else self._pose
         first = self._keyframe(predicted, prepared, submap)

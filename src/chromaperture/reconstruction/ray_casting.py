@@ -53,11 +53,7 @@ def cast_rays(
     max_distance_mm: float,
     min_weight: float,
 ) -> np.ndarray:
-    """Return the distance of the first surface along every pixel's ray, seen from its front; (H, W) float32 mm, NaN.
-
-    ``voxels``: signed distance in units of the truncation, and weight, (capacity, EDGE, EDGE, EDGE) float32, axes z, y,
-    x; ``camera_to_world`` (4, 4), mm; ``size`` height, width; ``min_weight``: from which a voxel counts as known.
-    """
+    """Return the distance of the first front surface along every pixel's ray; (H, W) float32 mm, NaN."""
     z_mm = np.full(size, np.nan, np.float32)
     if len(blocks.keys) == 0:
         return z_mm
@@ -70,12 +66,7 @@ def cast_rays(
 
 
 def enlarged_distances(z_mm: np.ndarray, factor: int, size: tuple[int, int]) -> np.ndarray:
-    """Interpolate the inverse distances of a picture reduced by a factor, linear on a plane.
-
-    Next to what is unknown and at steps the distance is that of the nearest pixel.
-
-    ``z_mm`` (rows, columns) float32, NaN unknown; ``size`` height, width. Returns (H, W) float32, NaN unknown.
-    """
+    """Interpolate inverse distances of a reduced picture; the nearest pixel's at steps and unknown ones."""
     inverse = np.nan_to_num(1 / z_mm)
     shift = (1 / factor - 1) / 2  # of the reduced picture's first pixel, whose centre is between the full one's
     onto = np.array([[1 / factor, 0, shift], [0, 1 / factor, shift]], np.float32)

@@ -6,16 +6,128 @@ The package uses millimetres, Open3D metres; this file converts.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from chromaperture.products.rectified import View
-from chromaperture.reconstruction.clean_views import scaled
-from chromaperture.reconstruction.fusion_kernels import Pixels, Voxels, clear_faint, fuse, holds_surface
 from chromaperture.reconstruction.ray_casting import EDGE, cast_rays, enlarged_distances, table_of
-from chromaperture.system.errors import MissingDependencyError
+from chromaperture.reconstruction.tracking import scaled
+from chromaperture.system.compilation import compiled
+from chromaperture.system.errors import needed
 from chromaperture.system.threads import in_parallel
+
+# Of the truncation: voxels farther from the surface keep their colour. A mesh takes colours from within a voxel of it;
+# half of eight voxels leaves room for what later views correct, and saves a fifth of the time.
+_PAINTED = np.float32(0.5)
+
+
+class Voxels(NamedTuple):
+    """Blocks of voxels, axes z, y, x."""
+
+    tsdf: np.ndarray  # (capacity, r, r, r) float32, signed distance in units of the truncation
+    weight: np.ndarray  # (capacity, r, r, r) float32
+    color: np.ndarray  # (capacity, r, r, r, 3) float32, 0..255
+
+
+class Pixels(NamedTuple):
+    """Pixels of a view, and where they were seen."""
+
+    z_mm: np.ndarray  # (H, W) float32, NaN unknown
+    gain: np.ndarray  # (H, W) float32, weight
+    reach_mm: np.ndarray  # (H, W) float32, how far behind the surface the pixel is used
+    color: np.ndarray  # (H, W, 3) uint8
+    matrix: np.ndarray  # (3, 3) float64
+    world_to_camera: np.ndarray  # (4, 4) float64, mm
+
+
+@compiled(error_model="numpy")
+def fuse(voxels, slots, keys, view, voxel_mm, truncation_mm, max_weight):  # type: ignore[no-untyped-def]
+    """Update the running means of the blocks in ``slots`` (N,), whose corners are ``keys`` (N, 3) times their edge.
+
+    A slot occurs once, so that threads may call this for parts of the blocks. A row of voxels is projected, looked up
+    and updated in three loops of float32 without branches, so that several voxels are computed at once; a voxel that
+    no pixel changes has a share of 0.
+    """
+    edge = voxels.tsdf.shape[1]
+    tsdf, weight, color = voxels.tsdf.reshape(-1), voxels.weight.reshape(-1), voxels.color.reshape(-1)
+    z_mm, gain, reach_mm = view.z_mm.reshape(-1), view.gain.reshape(-1), view.reach_mm.reshape(-1)
+    picture = view.color.reshape(-1)
+    rows, columns = np.int32(view.z_mm.shape[0]), np.int32(view.z_mm.shape[1])
+    to_camera, m = view.world_to_camera, view.matrix
+    fx, fy, cx, cy = np.float32(m[0, 0]), np.float32(m[1, 1]), np.float32(m[0, 2] + 0.5), np.float32(m[1, 2] + 0.5)
+    along = (to_camera[:3, :3] * voxel_mm).astype(np.float32)  # from a voxel to the next, in the camera's axes
+    ax, ay, az = along[0, 0], along[1, 0], along[2, 0]
+    one, least, scale = np.float32(1), np.float32(voxel_mm), np.float32(1 / truncation_mm)
+    most = np.float32(max_weight)
+    depth, pixel = np.empty(edge, np.float32), np.empty(edge, np.int32)
+    value, new = np.empty(edge, np.float32), np.empty(edge, np.float32)
+    for n in range(len(slots)):
+        for line in range(edge * edge):
+            x, y = keys[n, 0] * edge * voxel_mm, (keys[n, 1] * edge + line % edge) * voxel_mm
+            z = (keys[n, 2] * edge + line // edge) * voxel_mm
+            px = np.float32(to_camera[0, 0] * x + to_camera[0, 1] * y + to_camera[0, 2] * z + to_camera[0, 3])
+            py = np.float32(to_camera[1, 0] * x + to_camera[1, 1] * y + to_camera[1, 2] * z + to_camera[1, 3])
+            pz = np.float32(to_camera[2, 0] * x + to_camera[2, 1] * y + to_camera[2, 2] * z + to_camera[2, 3])
+            for i in range(edge):
+                step = np.float32(i)
+                depth[i] = pz + step * az
+                inverse = one / max(depth[i], least)
+                u = fx * (px + step * ax) * inverse + cx
+                v = fy * (py + step * ay) * inverse + cy
+                # Clipped to one beyond the picture: whole numbers of 32 bits hold no more than 2e9.
+                column = np.int32(min(max(u, -one), np.float32(columns)))
+                row = np.int32(min(max(v, -one), np.float32(rows)))
+                inside = (u >= 0) & (v >= 0) & (column < columns) & (row < rows) & (depth[i] >= least)
+                pixel[i] = row * columns + column if inside else np.int32(-1)
+            changed = False
+            for i in range(edge):
+                at = max(pixel[i], np.int32(0))
+                distance = z_mm[at] - depth[i]
+                used = (pixel[i] >= 0) & (distance >= -reach_mm[at])  # never for NaN, which is unknown
+                new[i] = gain[at] if used else np.float32(0)
+                value[i] = min(max(distance * scale, -one), one) if used else np.float32(0)
+                changed |= used
+            if not changed:
+                continue
+            first = (slots[n] * edge * edge + line) * edge
+            t, w, c = tsdf[first : first + edge], weight[first : first + edge], color[3 * first : 3 * (first + edge)]
+            for i in range(edge):
+                total = w[i] + new[i]
+                share = new[i] / max(total, np.float32(1e-12))
+                t[i] += (value[i] - t[i]) * share
+                w[i] = min(total, most)
+                new[i] = share
+            for i in range(edge):
+                if new[i] > 0 and (abs(value[i]) < _PAINTED or new[i] == one):  # the first colour in any case
+                    at = 3 * pixel[i]
+                    for k in range(3):
+                        c[3 * i + k] += (np.float32(picture[at + k]) - c[3 * i + k]) * new[i]
+
+
+@compiled()
+def holds_surface(tsdf, weight, slots, min_weight, reach):  # type: ignore[no-untyped-def]
+    """Return which blocks have a voxel of that weight within ``reach`` truncations of a surface; (N,) bool."""
+    found = np.zeros(len(slots), np.bool_)
+    for n in range(len(slots)):
+        weights, distances = weight[slots[n]].reshape(-1), tsdf[slots[n]].reshape(-1)
+        for i in range(len(weights)):
+            if weights[i] >= min_weight and abs(distances[i]) <= reach:
+                found[n] = True
+                break
+    return found
+
+
+@compiled()
+def clear_faint(weight, slots, fraction):  # type: ignore[no-untyped-def]
+    """Clear the voxels whose weight is below a fraction of the largest in their block."""
+    for slot in slots:
+        block = weight[slot].reshape(-1)
+        strongest = block.max()
+        for i in range(len(block)):
+            if block[i] < fraction * strongest:
+                block[i] = 0.0
+
 
 BLOCK_BYTES = EDGE**3 * 4 * 5  # tsdf, weight, three colours
 # Chosen by hand; not tuned. Weight 1 is a pixel of the first view's median standard deviation.
@@ -30,10 +142,7 @@ _BESIDE_VOXELS = 2.0  # a block that far from any surface has no part in it
 
 def open3d() -> Any:
     """Import Open3D; raises MissingDependencyError naming the extra."""
-    try:
-        import open3d
-    except ImportError:
-        raise MissingDependencyError("3D models need the extra: pip install 'chromaperture[reconstruct]'") from None
+    open3d = needed("open3d", "3D models need the extra: pip install 'chromaperture[reconstruct]'")
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     return open3d
 
@@ -69,11 +178,7 @@ def in_order(mesh: Mesh) -> Mesh:
 
 
 class Volume:
-    """Voxels near surfaces, in blocks of 16^3, on Open3D's ``grid``, in metres.
-
-    ``memory_mb`` fixes the number of blocks; when they are used up, `full` turns true and nothing outside them is
-    fused.
-    """
+    """Voxels near surfaces, in blocks of 16^3, on Open3D's ``grid``, in metres; `full` when they are used up."""
 
     def __init__(self, *, voxel_mm: float, truncation_voxels: float, memory_mb: int, max_distance_mm: float) -> None:
         self.voxel_mm, self.truncation_voxels = voxel_mm, truncation_voxels
@@ -121,11 +226,7 @@ class Volume:
         return len(keys)
 
     def prune(self, *, min_age: int | None = None) -> int:
-        """Clear faint voxels, and erase blocks without surface that were not updated lately; returns their number.
-
-        Every view has wrong points: behind surfaces, where no view contradicts them, they would add up to surfaces of
-        their own, and in time to a full volume.
-        """
+        """Clear faint voxels and erase idle blocks without surface, which wrong points fill; returns their number."""
         table = self.grid.hashmap()
         slots = table.active_buf_indices().numpy().astype(np.int64)
         voxels = self._voxels()
@@ -149,10 +250,7 @@ class Volume:
     def ray_cast(
         self, camera_matrix: np.ndarray, camera_to_world: np.ndarray, width: int, height: int, *, reduced: int = 1
     ) -> np.ndarray:
-        """Return the distances of the model in a camera's picture; (height, width) float32 mm, NaN unknown.
-
-        A ray is cast for every square of ``reduced`` px; distances between are interpolated, see `enlarged_distances`.
-        """
+        """Return the model's distances in a camera's picture, (height, width) mm, a ray every ``reduced`` px."""
         table = self.grid.hashmap()
         slots = table.active_buf_indices().numpy().astype(np.int64)
         voxels = self._voxels()

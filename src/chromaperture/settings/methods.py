@@ -1,8 +1,4 @@
-"""Every default of the method: one frozen dataclass a method, composed of its stages' (`readable.py`).
-
-A stage receives only its own section. Every value can be set from Python and from TOML (`toml_file.py`).
-docs/decisions.md has the alternatives that were measured.
-"""
+"""Every default of the method: one frozen dataclass a method, composed of its stages'; docs/decisions.md."""
 
 from __future__ import annotations
 
@@ -172,10 +168,7 @@ class AccurateConfig(MatcherConfig):
 
     @classmethod
     def for_range(cls, min_px: float, max_px: float) -> AccurateConfig:
-        """Return the settings for a camera whose blur is not known, over its working range, px.
-
-        There are at least `LEAST_LAYERS` layers, and slopes cost as much a layer.
-        """
+        """Return the settings for a working range, px, of a camera whose blur is not known."""
         plain = cls()
         step = min(plain.layers.step_px, (max_px - min_px) / LEAST_LAYERS)
         surface = replace(plain.surface, slope_penalty=plain.surface.slope_penalty * plain.layers.step_px / step)

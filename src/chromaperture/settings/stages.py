@@ -212,10 +212,7 @@ class CrossFilterConfig(Settings):
 
 @dataclass(frozen=True)
 class SurfaceConfig(Settings):
-    """The surface that explains the whole volume (quality "accurate"). Log-likelihoods are in nats a pixel.
-
-    Defaults are those of shifted views; `AccurateConfig.for_blur` has those of a known blur.
-    """
+    """The surface that explains the whole volume (quality "accurate"); log-likelihoods in nats a pixel."""
 
     #: Directions of semi-global matching, 4 or 8.
     paths: int = 8
@@ -266,10 +263,7 @@ class PlanesConfig(Settings):
 
 @dataclass(frozen=True)
 class PlateConfig(Settings):
-    """The plate that follows the evidence from a start of planes; see ``matching/planes/thin_plate.py``.
-
-    Labels are half a layer apart: 0.15 px of blur where the blur is known.
-    """
+    """The plate that follows the evidence from planes; labels are half a layer apart, 0.15 px of blur."""
 
     rounds: Annotated[int, Field(ge=1, le=100)] = 3
     #: Share of the pixels' nats that counts: windows overlap, so that neighbours say much the same.

@@ -12,7 +12,7 @@ from itertools import islice
 from queue import Empty, SimpleQueue
 from typing import Any, Generic, TypeVar
 
-from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import InputError, needed
 
 T = TypeVar("T")
 
@@ -38,21 +38,12 @@ class Finished(Generic[T]):
 
 def dask_distributed() -> Any:
     """Import Dask's distributed scheduler; raises MissingDependencyError naming the extra."""
-    try:
-        import distributed
-    except ImportError:
-        raise MissingDependencyError("--cluster needs the extra: pip install 'chromaperture[cluster]'") from None
-    return distributed
+    return needed("distributed", "--cluster needs the extra: pip install 'chromaperture[cluster]'")
 
 
 @contextlib.contextmanager
 def connected(address: str) -> Iterator[Any]:
-    """Connect to a scheduler that has workers of this version; yields Dask's client.
-
-    ``tls://`` uses the certificates of Dask's configuration (``distributed.comm.tls``).
-
-    Raises InputError: no scheduler answers, there are no workers, or workers have another version of the package.
-    """
+    """Yield Dask's client of a scheduler that has workers of this version; raises InputError."""
     dask = dask_distributed()
     with _silent():
         try:
@@ -131,10 +122,7 @@ def _same(argument: T) -> T:
 
 
 def _patiently(client: Any, wait: Callable[[float], T]) -> T:
-    """Repeat a wait that ends in TimeoutError or Empty after the seconds it is given.
-
-    Raises InputError without a scheduler, or without workers for `WORKERS_S`.
-    """
+    """Repeat a wait that ends in TimeoutError or Empty while the scheduler and its workers are there."""
     last_seen = time.monotonic()
     while True:
         try:

@@ -1,8 +1,4 @@
-"""How kernels are compiled: by Numba, once for a machine, with the machine code kept on disk.
-
-Numba alone compiles again when the kernel's own file changes, not when a file that it imports changes. Here the key is
-the content of every file of the package that the kernel's file imports, directly or not.
-"""
+"""How kernels are compiled: by Numba, kept on disk under the content of every file of the package they import."""
 
 from __future__ import annotations
 
@@ -28,10 +24,7 @@ _DIGEST = hashlib.sha256().digest_size  # bytes
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorate a kernel that Python calls; it releases the interpreter's lock.
-
-    ``**options``: of ``numba.njit``.
-    """
+    """Decorate a kernel that Python calls, with numba's options; it releases the interpreter's lock."""
 
     def decorate(function: Callable[..., Any]) -> Any:
         kernel = njit(nogil=True, **options)(function)
@@ -99,10 +92,7 @@ class _UserWide(_Stamped, caching.UserWideCacheLocator):
 
 
 class _Temporary(_Stamped, caching.UserWideCacheLocator):
-    """A folder of this user among the temporary ones, for services: a read-only installation, and no home.
-
-    What is kept there is executed, so it must belong to this user alone.
-    """
+    """A folder of this user alone among the temporary ones, as what is kept there is executed."""
 
     def __init__(self, function: Callable[..., Any], file: str) -> None:
         self._py_file, self._lineno = file, function.__code__.co_firstlineno

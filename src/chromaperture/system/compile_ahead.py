@@ -1,10 +1,7 @@
 """Compile the kernels of a quality before they are needed, several at a time.
 
-Numba compiles one kernel after the other, when each is first called. ``kernels.json`` lists the kernels of each
-quality with the types of their arguments, so that other processes can compile them at the same time; all write to the
-cache on disk (`compilation.py`), from which this process then reads. What the list lacks is compiled when called.
-
-The list is made by ``python benchmarks/kernel_list.py``.
+``kernels.json`` (``python benchmarks/kernel_list.py``) lists the kernels of each quality with their types, so that
+processes can compile them into the cache on disk (`compilation.py`). What the list lacks is compiled when called.
 """
 
 from __future__ import annotations
@@ -76,10 +73,7 @@ def listed(*qualities: str) -> list[Listed]:
 
 
 def type_from(given: Any) -> Any:
-    """Return Numba's type for its text in the list: ``float32``, ``float32[2]C``, or a list of those for a tuple.
-
-    The first element of a list names the class of a named tuple, ``module:name``; it is empty for others.
-    """
+    """Return Numba's type for its text, or for a list, whose first element names a named tuple's class."""
     from numba import types
 
     if isinstance(given, list):
@@ -110,10 +104,7 @@ def text_of(given: Any) -> Any:
 
 
 def compile_ahead(*qualities: str, update: Update = lambda what, done, total: None) -> int:
-    """Compile what qualities lack on this machine, in as many processes as there are threads; returns how many.
-
-    Nothing is raised: a kernel that was not compiled here is compiled when it is called.
-    """
+    """Compile what qualities lack here, in a process a thread; returns how many, and never raises."""
     missing = [kernel for kernel in listed(*qualities) if kernel.is_missing()]
     if not missing:
         return 0

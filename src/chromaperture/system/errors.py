@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import importlib
 from collections.abc import Iterator
+from typing import Any
 
 
 class ChromapertureError(Exception):
@@ -17,6 +19,14 @@ class InputError(ChromapertureError):
 
 class MissingDependencyError(ChromapertureError, ImportError):
     """An optional package is needed; the message names the extra to install."""
+
+
+def needed(module: str, hint: str) -> Any:
+    """Import an optional package; raises MissingDependencyError with what to do."""
+    try:
+        return importlib.import_module(module)
+    except (ImportError, OSError):  # a shared library may be missing
+        raise MissingDependencyError(hint) from None
 
 
 class CaptureWarning(UserWarning):

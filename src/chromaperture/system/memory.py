@@ -27,12 +27,7 @@ _MEMINFO, _STATM = "/proc/meminfo", "/proc/self/statm"
 
 
 def available_bytes() -> float:
-    """Return the memory that this process may still use: of the machine, its container, its limit, and `LIMIT`.
-
-    inf where the system does not tell.
-
-    Raises InputError: `LIMIT` is no number.
-    """
+    """Return the memory that this process may still use: of machine, container, limit and `LIMIT`; else inf."""
     containers = (_of_container(*files) for files in _CGROUPS)
     return max(0.0, min(_of_machine(), *containers, address_space_bytes(), limit_bytes()))
 
@@ -52,10 +47,7 @@ def limit_bytes() -> float:
 
 
 def check_memory(what: str, needed_bytes: float, *, advice: str) -> None:
-    """Raise OutOfMemoryError where work would need more memory than there is.
-
-    ``what``: begins the message, such as "a.png, 24 megapixels"; ``advice``: ends the message.
-    """
+    """Raise OutOfMemoryError, ``what`` ... ``advice``, where work would need more memory than there is."""
     available = available_bytes()
     if needed_bytes > available:
         needed, free = (f"{value / 1e9:.1f} GB" for value in (needed_bytes, available))
@@ -141,10 +133,7 @@ def free_scratch_bytes() -> float:
 
 
 def scratch_array(shape: tuple[int, ...]) -> np.ndarray:
-    """Return a float32 array of zeros in a file that is gone with the array, also when the process is killed.
-
-    Raises OutOfMemoryError: the disk is full, or cannot be written.
-    """
+    """Return a float32 array of zeros in a file that is gone with the array, also when the process is killed."""
     size = 4 * math.prod(shape)
     try:
         with tempfile.TemporaryFile(dir=scratch_folder(), prefix="chromaperture-") as file:

@@ -10,17 +10,11 @@ HUBER = 1.345  # standard deviations at which Huber's loss turns linear: 95 % ef
 
 
 def robust_sigma(residuals: np.ndarray) -> float:
-    """Estimate the standard deviation about 0 from the median absolute value; NaN is missing, and the result if all is.
-
-    Returns float, in the unit of the residuals.
-    """
+    """Estimate the standard deviation about 0 from the median absolute value; NaN is missing."""
     known = np.abs(residuals[np.isfinite(residuals)])
     return MAD_TO_SIGMA * float(np.median(known)) if known.size else float("nan")
 
 
 def huber_weights(standardised: np.ndarray) -> np.ndarray:
-    """Weights of iteratively reweighted least squares for Huber's loss.
-
-    ``standardised``: residuals over their standard deviations. Returns array of float in (0, 1].
-    """
+    """Return Huber's weights, (0, 1], of standardised residuals for reweighted least squares."""
     return np.asarray(HUBER / np.maximum(np.abs(standardised), HUBER))

@@ -44,12 +44,7 @@ class Stage:
 
 @contextlib.contextmanager
 def staged(folder: str | Path) -> Iterator[Stage]:
-    """Write a set of files so that none remain after an error, a full disk, Ctrl-C or SIGTERM.
-
-    What a killed process left in the folder is removed.
-
-    Raises InputError: the folder cannot be created or written to, or the disk is full.
-    """
+    """Write a set of files so that none remain after an error or a signal; removes a killed process's."""
     folder, moved = Path(folder), 0
     try:
         folder.mkdir(parents=True, exist_ok=True)

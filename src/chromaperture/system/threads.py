@@ -36,10 +36,7 @@ def _default_count() -> int:
 
 
 def check_environment() -> None:
-    """Check the variables that set numbers of threads; raises InputError.
-
-    Numba refuses its own with a traceback, when it is imported.
-    """
+    """Check the numbers of threads set in the environment, which Numba refuses with a traceback."""
     for name in ("CHROMAPERTURE_THREADS", "NUMBA_NUM_THREADS"):
         _wanted(name)
 
@@ -67,10 +64,7 @@ def limited_threads(count: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def limited_opencv_threads(count: int) -> Iterator[None]:
-    """Let OpenCV use ``count`` threads inside a ``with`` block, in the whole process.
-
-    Its bundle adjustment adds float sums in the order in which threads finish: only one thread repeats its result.
-    """
+    """Let OpenCV use ``count`` threads meanwhile: float sums repeat only with one."""
     import cv2
 
     before = cv2.getNumThreads()
@@ -82,11 +76,7 @@ def limited_opencv_threads(count: int) -> Iterator[None]:
 
 
 def in_parallel(work: Callable[[int, int, int], None], count: int, *, threads: int | None = None) -> None:
-    """Run ``work(thread, first, last)`` over ``count`` pieces, in contiguous portions.
-
-    ``work``: called once for each thread, with its number and its pieces from ``first`` to before ``last``;
-    ``threads``: at most this many; `thread_count` when absent.
-    """
+    """Run ``work(thread, first, last)`` over ``count`` pieces, in contiguous portions, once for each thread."""
     threads = min(thread_count() if threads is None else threads, count)
     if threads == 1:
         work(0, 0, count)
@@ -116,10 +106,7 @@ def each_band(work: Callable[[slice], object], rows: int, *, rows_a_band: int = 
 
 @contextlib.contextmanager
 def beside() -> Iterator[Callable[[Callable[[], R]], Future[R]]]:
-    """Start work on one other thread, in the order it was given; leaving the ``with`` block waits for it.
-
-    Where no thread can be started, the work is done at once.
-    """
+    """Start work on one other thread, in order; leaving waits for it, and without a thread it is done at once."""
     with ThreadPoolExecutor(1, thread_name_prefix="chromaperture-beside") as thread:
 
         def begin(work: Callable[[], R]) -> Future[R]:
@@ -145,10 +132,7 @@ def begun(work: Callable[[], R]) -> Callable[[], R]:
 
 
 class _Task(Generic[R]):
-    """Work that the first thread to call it does; ``result`` is its outcome.
-
-    An executor that cannot start a thread keeps the work in its queue, where a later thread may find it.
-    """
+    """Work that the first thread to call it does, as a queue may keep it for later; ``result`` is its outcome."""
 
     def __init__(self, work: Callable[..., R], *arguments: Any) -> None:
         self.result: Future[R] = Future()

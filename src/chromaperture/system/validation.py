@@ -51,11 +51,7 @@ class Table(BaseModel):
 
 
 def read_bytes(path: str | Path, *, most_bytes: int) -> bytes:
-    """Read a regular file whole.
-
-    Raises InputError: it is missing, cannot be read, is no regular file (a folder, device or pipe), or is larger than
-    ``most_bytes``.
-    """
+    """Read a regular file whole; raises InputError where it is none, or larger than ``most_bytes``."""
     try:
         # Opening a pipe would wait for a writer.
         with open(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)), "rb") as file:
@@ -97,11 +93,7 @@ def read_toml(path: str | Path) -> dict[str, Any]:
 
 
 def checked(kind: type[M], tree: Any, *, where: str) -> M:
-    """Check a tree of plain values against a `Table` or a dataclass, and return that.
-
-    ``tree``: from TOML, JSON or YAML; ``where``: the file, for messages. Raises InputError: an unknown or missing key,
-    a value of another type or out of its range; the message names it.
-    """
+    """Check a tree of plain values against a `Table` or a dataclass; raises InputError that names the key."""
     try:
         return cast(M, _adapter(cast(Any, kind)).validate_python(_tuples(tree)))
     except ValidationError as error:

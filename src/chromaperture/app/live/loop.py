@@ -26,6 +26,7 @@ from chromaperture.app.live.watchdog import Watchdog
 from chromaperture.camera.camera import Begun, CodedApertureCamera, DepthFrame
 from chromaperture.capture.recording import Recorder
 from chromaperture.capture.source import Frame, Source
+from chromaperture.products.foxglove_stream import FoxgloveStream
 from chromaperture.products.rectified import undistorter
 from chromaperture.reconstruction.fusion import Placed, Reconstruction, Submap
 from chromaperture.reconstruction.settings import ReconstructionConfig
@@ -156,10 +157,7 @@ class LiveLoop:
         return self._recorder is not None and self._recorder.is_alive()
 
     def record(self, folder: str | Path) -> None:
-        """Start recording, without slowing the loop; a nearly full disk ends the recording, not the loop.
-
-        Raises InputError where less of the disk is free than recordings leave.
-        """
+        """Start recording; raises InputError on a disk nearly full, which later ends the recording, not the loop."""
         with self._starting:
             if self.recording:
                 return
@@ -257,10 +255,7 @@ class LiveLoop:
             self._finish()
 
     def _begin_waiting(self) -> None:
-        """Have the device begin the frame that waits, while what it made of the one before is read and finished.
-
-        Not while frames are tracked: tracking takes longer, and the frame would be old by then.
-        """
+        """Have the device begin the frame that waits; not while frames are tracked, when it would be old by then."""
         if not self.track and len(self._to_depth) and (item := self._to_depth.take()) is not None:
             self._ahead = self._begun(*item)
 
@@ -355,10 +350,7 @@ def one_line(error: BaseException) -> str:
 
 
 def forget_old(model: Reconstruction, most_bytes: int, *, listener: Callable[[str], None] = lambda line: None) -> None:
-    """Empty the oldest submaps until meshes and keyframes of those that no longer grow fit into the memory.
-
-    A camera that is lost often begins one after another. Their numbers stay, so that no other submap changes its own.
-    """
+    """Empty the oldest submaps that no longer grow until meshes and keyframes fit into the memory."""
     left = most_bytes
     for number in reversed(range(len(model.submaps) - 1)):
         submap = model.submaps[number]
@@ -397,10 +389,7 @@ def _trim() -> Callable[[int], int] | None:
 
 
 class RareNotices:
-    """Pass a line on unless one of its kind, equal but for numbers, was passed on lately: a live loop runs for days.
-
-    A later line of its kind says how many were left out.
-    """
+    """Pass a line on unless one equal but for numbers was passed on lately; says how many were left out."""
 
     def __init__(self, listener: Callable[[str], None], *, pause_s: float = _NOTICE_S) -> None:
         self._listener, self._pause_s = listener, pause_s
@@ -437,3 +426,36 @@ class Trail:
                 points, self._step = points[::2], 2 * self._step
             self.points_mm = points
         self._count += 1
+
+
+_STREAM_END_S = 5.0  # for the last message at the end; chosen by hand
+
+
+class Streaming:
+    """Take the measurements of a loop and send them, leaving out what comes too fast; a context manager."""
+
+    def __init__(self, loop: LiveLoop, stream: FoxgloveStream) -> None:
+        self.loop, self.stream = loop, stream
+        self._slot = loop.to_stream = Slot[Measured]()
+        self._thread = threading.Thread(target=self._run, name="stream", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._slot.close()
+        self._thread.join(timeout=_STREAM_END_S)
+
+    def _run(self) -> None:
+        to_view, posed = None, None
+        while (item := self._slot.take()) is not None:
+            try:
+                to_view = to_view or undistorter(self.loop.camera)  # by now it has the size of the frames
+                self.stream.send(to_view(item.measurement, item.frame.time_s, item.frame.index))
+                placed = self.loop.placed
+                if placed is not None and placed.pose is not None and placed is not posed:
+                    self.stream.send_pose(placed.pose, placed.time_s)
+                    posed = placed
+            except Exception as error:  # of one frame, or of the disk: the loop goes on
+                self.loop.say_rarely(f"frame {item.frame.index} was not streamed: {one_line(error)}")

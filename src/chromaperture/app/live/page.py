@@ -15,7 +15,8 @@ from chromaperture.app.gate import Access, Gate
 from chromaperture.app.listening import NEXT_PORTS, make_server, require_extra
 from chromaperture.app.live.loop import LiveLoop
 from chromaperture.app.live.view import LiveView
-from chromaperture.app.server import colors, number, page_file, said, whole
+from chromaperture.app.messages import File, number, whole
+from chromaperture.app.server import colors, page_file, said
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.model.scale import resized
 
@@ -25,11 +26,7 @@ _START_S, _END_S = 20.0, 5.0  # for the server; chosen by hand
 
 
 class LivePage:
-    """A view of a loop and the server of its page, at ``url``, which holds a random token.
-
-    The port, or the next free one, is taken; raises InputError where nothing can be served on this host,
-    MissingDependencyError without the extra ``serve``.
-    """
+    """A view of a loop and the server of its page, at ``url``, which holds a random token."""
 
     def __init__(
         self, loop: LiveLoop, *, host: str, port: int, out: Path, max_relative_sigma: float = MAX_RELATIVE_SIGMA
@@ -85,43 +82,33 @@ class LiveAnswers:
 
     async def about(self, request: Any) -> Any:
         """Return what the page needs to know at its start."""
-        from starlette.responses import JSONResponse
-
-        return JSONResponse({"version": version("chromaperture"), **self.view.about()})
+        return {"version": version("chromaperture"), **self.view.about()}
 
     async def frame(self, request: Any) -> Any:
         """Return the newest frame, once it is another than the page has; 204 where there is none for a while."""
-        from starlette.responses import Response
-
         seen, end = whole(request.query_params, "after"), time.monotonic() + _PATIENCE_S
         self.view.asked()
         while self.view.number == seen or not self.view.message:
             if time.monotonic() > end:
-                return Response(status_code=204)
+                return File(b"", None, status=204)
             await asyncio.sleep(_LOOK_S)
-        return Response(self.view.message, media_type="application/octet-stream")
+        return self.view.message
 
     async def state(self, request: Any) -> Any:
         """Return what is shown beside the pictures."""
-        from starlette.responses import JSONResponse
-
-        return JSONResponse(await asyncio.to_thread(self.view.state))
+        return await asyncio.to_thread(self.view.state)
 
     async def mesh(self, request: Any) -> Any:
         """Return the growing model."""
-        from starlette.responses import Response
-
         packed = await asyncio.to_thread(self.view.mesh_message)
-        return Response(packed, media_type="application/octet-stream")
+        return packed
 
     async def points(self, request: Any) -> Any:
         """Return what makes points of the maps."""
-        from starlette.responses import Response
-
         camera = self.view.loop.camera
         size = (whole(request.query_params, "width"), whole(request.query_params, "height"))
         packed = make_points(resized(camera.calibration, *size), camera.config.quality)
-        return Response(packed, media_type="application/octet-stream")
+        return packed
 
     async def focus(self, request: Any) -> Any:
         """Focus the colours elsewhere, or, without a distance, show them as they are."""

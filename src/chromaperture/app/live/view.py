@@ -23,8 +23,8 @@ from chromaperture.effects.refocusing import Focus, compositor_of, refocus
 from chromaperture.effects.restore import focus_radius
 from chromaperture.model.scale import reduced_size
 from chromaperture.products.measure_file import write_maps
-from chromaperture.reconstruction.clean_views import near_steps
 from chromaperture.reconstruction.fusion import Placed
+from chromaperture.reconstruction.tracking import near_steps
 from chromaperture.reconstruction.volume import Mesh
 from chromaperture.system.errors import InputError
 from chromaperture.system.storage import staged
@@ -112,10 +112,7 @@ class LiveView:
         self._asked = time.monotonic()
 
     def run(self, *, until: Callable[[], bool] = lambda: False) -> None:
-        """Take frames until the loop ends or ``until`` returns true; nothing is packed while no page asks.
-
-        What cannot be packed is left out and said, on the page too; each different message once a minute.
-        """
+        """Take frames until the loop ends or ``until`` returns true; what cannot be packed is left out and said."""
         meter, to_view = self.loop.meters["view"], self.loop.to_view
         while not until():
             if not to_view.wait(_LOOK_S):  # paused, or the source stalls
@@ -176,10 +173,7 @@ class LiveView:
         (self.loop.paused.set if wanted else self.loop.paused.clear)()
 
     def snapshot(self, percent: object = None) -> list[Path]:
-        """Write the maps of the newest frame, of error bars up to so many percent.
-
-        Raises InputError while another is being written, and where the disk is nearly full.
-        """
+        """Write the maps of the newest frame; raises InputError on a full disk and while another is written."""
         last = self.last
         if last is None:
             raise InputError("there is no frame yet")

@@ -35,11 +35,7 @@ class _Pass:
 
 
 class Watchdog:
-    """Look at the stages of the live loop from a thread; a context manager.
-
-    The listener receives one line when a stage takes longer than so many seconds, and one when it went on; inf: never.
-    Raises InputError for seconds that are not positive.
-    """
+    """Tell a listener of stages of the live loop that take longer than so many seconds; a context manager."""
 
     def __init__(self, seconds: float = WATCHDOG_S, *, listener: Callable[[str], None] = lambda line: None) -> None:
         if not seconds > 0:

@@ -28,6 +28,7 @@ from chromaperture.optics.aperture import (
     checked_aperture,
     design_named,
     film_named,
+    made_of,
 )
 from chromaperture.system.errors import InputError
 from chromaperture.system.validation import Name, Table, checked, quoted, read_bytes, read_toml
@@ -124,11 +125,7 @@ def _numbers(tag: str, attrib: Mapping[str, str], *keys: str) -> list[float]:
 
 
 def path_points(commands: str) -> np.ndarray:
-    """Convert a closed path of lines and Bezier curves to a polygon.
-
-    ``commands``: path data with the commands M L H V Q C Z. Returns (N, 2) float64, user units. Raises InputError: arcs
-    and other commands, a second loop, missing numbers, or too many corners.
-    """
+    """Convert a closed path of the SVG commands M L H V Q C Z to a polygon, (N, 2) user units."""
     from svgelements import Close, Line, Move, Path
 
     known = _SUPPORTED.match(commands)
@@ -178,11 +175,7 @@ def _check_grammar(commands: str) -> None:
 
 
 def load_aperture(name_or_path: str | Path) -> Aperture:
-    """Load an aperture by the name of a design, or from a ``.toml`` or ``.svg`` file.
-
-    Raises InputError: unknown name, missing or malformed file, pieces that overlap or lie outside the pupil, unknown
-    filters.
-    """
+    """Load an aperture by the name of a design, or from a ``.toml`` or ``.svg`` file; raises InputError."""
     path = Path(name_or_path)
     if path.suffix.lower() not in (".toml", ".svg"):
         return design_named(str(name_or_path))
@@ -256,6 +249,12 @@ class _ApertureTable(Table):
     views: Annotated[tuple[Name, ...], Field(max_length=MOST_PIECES)] | None = None
     filters: Annotated[dict[Name, _FilterTable], Field(max_length=MOST_PIECES)] = Field(default_factory=dict)
     part: Annotated[tuple[_PartTable, ...], Field(max_length=MOST_PIECES)] = ()
+
+
+def load_made(name_or_path: str, film: str) -> Aperture:
+    """Return a design made of a film, or that of a file with its own film."""
+    aperture = load_aperture(name_or_path)
+    return aperture if name_or_path.lower().endswith((".toml", ".svg")) else made_of(aperture, film)
 
 
 def aperture_from_dict(data: Mapping[str, Any], *, name: str) -> Aperture:

@@ -1,8 +1,4 @@
-"""A printable chessboard of true size, surrounded by speckle.
-
-The chessboard determines the pose; the speckle is texture for measuring disparity. The same speckle fills whole pages
-for the wall around the board.
-"""
+"""A printable chessboard of true size, for the pose, surrounded by speckle, for the disparity."""
 
 from __future__ import annotations
 
@@ -62,12 +58,7 @@ class BoardPage:
 
 
 def board_page(*, columns: int = 9, rows: int = 6, square_mm: float | None = None, paper: str = "a3") -> BoardPage:
-    """Lay out a chessboard on a page.
-
-    ``columns``, ``rows``: inner corners, one less than the squares each way; ``square_mm``: 30 on A3, 22 on A4 and
-    Letter when absent; ``paper`` {"a4", "a3", "letter"}. Raises InputError: an unknown paper, a board that looks the
-    same upside down, or one that does not fit.
-    """
+    """Lay out a chessboard of inner corners on a page of ``a4``, ``a3`` or ``letter``; raises InputError."""
     if paper.lower() not in PAPERS:
         raise InputError(f"paper {paper!r} is not known: choose one of {', '.join(PAPERS)}")
     if min(columns, rows) < 3 or (columns + rows) % 2 == 0:
@@ -90,10 +81,7 @@ def board_page(*, columns: int = 9, rows: int = 6, square_mm: float | None = Non
 
 
 def speckle(size_mm: tuple[float, float], *, seed: int = 7) -> np.ndarray:
-    """Draw discs of several sizes and greys; those of each size cover 0.4 of the page.
-
-    ``size_mm`` (width, height). Returns (h, w) uint8, `SPECKLE_DPI` to the inch.
-    """
+    """Draw discs of several sizes and greys, uint8 at `SPECKLE_DPI`; those of each size cover 0.4 of the page."""
     rng = np.random.default_rng(seed)
     per_mm = SPECKLE_DPI / 25.4
     width, height = (round(s * per_mm) for s in size_mm)
@@ -141,11 +129,7 @@ def _rectangles(page: BoardPage, foot: float) -> list[tuple[float, float, float,
 
 
 def write_board(path: Path, page: BoardPage, *, wall_pages: int = 0) -> None:
-    """Write the board as ``.pdf`` or ``.svg``, at its true size.
-
-    ``wall_pages``: pages of speckle for the wall around the board; PDF only. Raises InputError: another suffix, or an
-    SVG of more than one page.
-    """
+    """Write the board as ``.pdf``, with pages of speckle for the wall, or as ``.svg``, at its true size."""
     suffix = path.suffix.lower()
     if suffix not in (".svg", ".pdf"):
         raise InputError(f"a board is written as .pdf or .svg, not {path.name!r}")

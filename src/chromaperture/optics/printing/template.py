@@ -25,10 +25,7 @@ _SIDE_STEPS = 64  # points of a polygon's side, so that it can follow the rim of
 
 
 def outline(shape: Shape) -> list[np.ndarray]:
-    """Compute the closed outlines of a shape within the unit pupil.
-
-    Returns list of (N, 2) float64, pupil radii; holes are separate outlines of opposite orientation.
-    """
+    """Compute the closed outlines of a shape within the unit pupil; holes turn the other way."""
     if isinstance(shape, Intersection):
         loops = [loop for part in shape.shapes if not isinstance(part, HalfPlane) for loop in outline(part)]
         for part in shape.shapes:
@@ -81,11 +78,7 @@ def _clipped(loop: np.ndarray, normal: np.ndarray, offset: float) -> np.ndarray:
 
 
 def template_figure(aperture: Aperture, *, pupil_diameter_mm: float) -> Figure:
-    """Draw the template on a page of A4: all pieces together, each alone to cut, a 50 mm scale bar, the orientation.
-
-    ``pupil_diameter_mm``: diameter of the stop that the film is put into. Returns of the page's size, its data
-    coordinates in mm from the top-left corner. Raises InputError: a diameter that does not fit the page.
-    """
+    """Draw the template on a page of A4: all pieces together, each alone to cut, a 50 mm scale bar, the orientation."""
     if not 0.5 <= pupil_diameter_mm <= 80:
         raise InputError(f"a pupil of {pupil_diameter_mm:g} mm does not fit the page: give 0.5 to 80 mm")
     figure, axes = new_page(_PAGE_MM)

@@ -42,13 +42,7 @@ class LayeredCapture:
 def render_layers(
     color: np.ndarray, depth_mm: np.ndarray, *, camera: PupilCamera, aperture: Aperture, pitch_px: float = 0.5
 ) -> LayeredCapture:
-    """Photograph an RGB-D picture that was taken from the pupil's centre.
-
-    ``color`` (H, W, 3) float: sharp, linear; ``depth_mm`` (H, W) float: distance from the sensor plane; NaN is replaced
-    by the nearest known depth; ``camera``: of the picture's size; ``pitch_px``: difference of blur radius between
-    layers; light in between is divided linearly. Raises InputError: wrong shapes, no known depth, depth behind the
-    camera.
-    """
+    """Photograph a linear RGB-D picture, taken from the pupil's centre, in layers of blur radius."""
     color = np.asarray(color, np.float32)
     depth = np.asarray(depth_mm, np.float64)
     if color.shape != (camera.height_px, camera.width_px, 3) or depth.shape != color.shape[:2]:
@@ -93,10 +87,7 @@ def render_layers(
 
 
 def _mirrored(pictures: Sequence[np.ndarray], reach: int) -> tuple[int, list[np.ndarray]]:
-    """Extend pictures by mirrored borders of at least ``reach`` px, because filtering is periodic.
-
-    Returns the width of the left and upper border, px, and the pictures, float32.
-    """
+    """Extend pictures by mirrored borders of at least ``reach`` px, as filters are periodic; returns the border too."""
     shape = pictures[0].shape[:2]
     # Steps of 16 px keep the size, and so the cached transfer functions, from frame to frame of a video.
     pad = min(16 * math.ceil(reach / 16), min(shape) - 1)
@@ -130,12 +121,7 @@ def _nearest(wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def behind_edges(color: np.ndarray, radius: np.ndarray, reach: int, edge_px: float) -> tuple[np.ndarray, np.ndarray]:
-    """Extrapolate far surfaces behind the near sides of depth edges.
-
-    ``color`` (H, W, 3) float32; ``radius`` (H, W) float32: signed blur radius, px; smaller is nearer; ``reach``:
-    distance behind an edge, px. Returns ``color, radius``: the arguments, with the far surface in place of the near
-    one.
-    """
+    """Extrapolate colour and blur radius of far surfaces behind the near sides of depth edges."""
     beside = cv2.erode(radius, np.ones((3, 3), np.uint8))
     far_side = radius - beside > edge_px
     if not far_side.any():

@@ -44,12 +44,7 @@ class _Rays(NamedTuple):
 
 
 def render(table: RayTable, planes: Sequence[Plane], *, seed: int = 0) -> np.ndarray:
-    """Photograph a scene of planes; rays that meet none are dark.
-
-    ``table``: from `pinhole_rays` or `lens_rays`; ``seed``: of the stratified positions inside the pixels. Returns (H,
-    W, 3) float32, linear; reflectance 1 through the open pupil on the axis gives 1.. Raises InputError: a plane reaches
-    behind the entrance pupil.
-    """
+    """Photograph a scene of planes: white through the open pupil on the axis gives 1; no plane is dark."""
     world = _packed(planes, table.z_mm)
     rays = _Rays(_grid(table), np.float32(table.z_mm), table.origin, table.slope, table.weight, _pixel_slope(table))
     out = np.zeros((table.height_px, table.width_px, 3), np.float32)

@@ -35,12 +35,7 @@ class Plane:
 def plane(
     texture: np.ndarray, *, center_mm: Sequence[float], width_mm: float, tilt_deg: Sequence[float] = (0.0, 0.0, 0.0)
 ) -> Plane:
-    """Place a picture in the scene.
-
-    ``texture`` (h, w, 3) or (h, w, 4) float: linear; a fourth channel is coverage; ``center_mm`` (3,): camera frame, z
-    from the sensor plane; ``tilt_deg`` (3,): turns about x, then y, then z. Raises InputError: wrong shape, or a width
-    that is not positive.
-    """
+    """Place a linear picture, a fourth channel is coverage, in the scene, turned about x, then y, then z."""
     texture = np.asarray(texture, np.float32)
     if texture.ndim != 3 or texture.shape[2] not in (3, 4) or min(texture.shape[:2]) < 2:
         raise InputError(f"a texture needs the shape (height, width, 3 or 4), got {texture.shape}")
@@ -63,10 +58,7 @@ def plane(
 
 
 def load_scene(path: str | Path) -> list[Plane]:
-    """Read a scene file.
-
-    Raises InputError: missing or malformed file, unknown texture, a plane behind the camera.
-    """
+    """Read a scene file; raises InputError."""
     path = Path(path)
     if not os.path.lexists(path):
         raise InputError(f"no scene file {quoted(path)}")

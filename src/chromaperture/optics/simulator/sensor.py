@@ -32,11 +32,7 @@ class SensorModel:
 
 
 def expose(image: np.ndarray, sensor: SensorModel, *, seed: int, exposure: float = 1.0) -> np.ndarray:
-    """Simulate the counts of an exposure to linear light.
-
-    ``image`` (H, W, 3) float, linear; ``exposure``: factor on the light; light 1.0 at exposure 1.0 reaches white level.
-    Returns (H, W, 3) uint16, counts. Raises InputError: light that is negative or not finite.
-    """
+    """Simulate counts (H, W, 3) uint16 of linear light; 1.0 at exposure 1.0 reaches white level."""
     electrons = np.asarray(image, np.float64) * exposure * sensor.full_well_electrons
     if not (np.isfinite(electrons).all() and electrons.min() >= 0):
         raise InputError("an exposure needs finite light of at least 0 everywhere")
@@ -51,17 +47,3 @@ def develop(counts: np.ndarray, sensor: SensorModel) -> np.ndarray:
     """Convert counts to linear light; (H, W, ...) float32, 1.0 = white level."""
     span = np.float32(sensor.white_level - sensor.black_level)
     return (np.asarray(counts, np.float32) - np.float32(sensor.black_level)) / span
-
-
-def mosaic(image: np.ndarray, pattern: Pattern = "RGGB") -> np.ndarray:
-    """Keep one channel per pixel, as a Bayer sensor does.
-
-    ``image`` (H, W, 3); ``pattern`` {"RGGB", "BGGR", "GRBG", "GBRG"}: colours of the top-left 2 x 2 pixels, row by row.
-    Returns (H, W) of the image's dtype.
-    """
-    if pattern not in ("RGGB", "BGGR", "GRBG", "GBRG"):
-        raise InputError(f"unknown Bayer pattern {pattern!r}: choose RGGB, BGGR, GRBG or GBRG")
-    out = np.empty(image.shape[:2], image.dtype)
-    for i, colour in enumerate(pattern):
-        out[i // 2 :: 2, i % 2 :: 2] = image[i // 2 :: 2, i % 2 :: 2, "RGB".index(colour)]
-    return out

@@ -69,12 +69,7 @@ def write_session(
     report: Callable[[str], None] = lambda note: None,
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> None:
-    """Render and write a session, ``white`` and ``truth`` too, into ``folder``.
-
-    ``rays``: returns the ray table of the camera with an aperture; ``report``: called with a sentence for every
-    photograph that is left out; ``progress``: with the step, how many photographs are written, and of how many. Raises
-    InputError: no distances, a board behind the camera, or one that leaves the frame at every distance.
-    """
+    """Render and write a session, ``white`` and ``truth`` too, into ``folder``; raises InputError."""
     if not plan.distances_mm:
         raise InputError("a session needs at least one board distance")
     plan = plan.for_camera(camera)
@@ -175,10 +170,7 @@ def wall(
     square_mm: float = _SQUARE_MM,
     reach_mm: float = 400.0,
 ) -> list[Plane]:
-    """Build a wall of grey speckle that fills the picture, with a chessboard on its middle.
-
-    ``reach_mm`` is by how much a tilted wall may recede; it must not reach the camera with its near side.
-    """
+    """Build a wall of speckle that fills the picture, with a chessboard, and recedes by at most ``reach_mm``."""
     far = center[2] + reach_mm
     # Half a pixel's footprint, but no finer than print at 100 dpi.
     texel = max(0.25, 0.5 * (center[2] - camera.sensor_to_pupil_mm) / camera.focal_px)

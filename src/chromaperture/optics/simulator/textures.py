@@ -16,11 +16,7 @@ _MOST_TEXELS = 64e6  # of a plane; noise of that size takes 2 GB
 def noise(
     shape: tuple[int, int], *, exponent: float, seed: int, mean: float = 0.45, contrast: float = 0.18
 ) -> np.ndarray:
-    """Generate Gaussian noise with amplitudes that fall as frequency^-exponent.
-
-    ``shape`` (int, int); ``exponent``: 0 is white; natural photographs have about 1; ``mean``, ``contrast``: mean and
-    standard deviation before clipping to [0.02, 0.98]. Returns (h, w) float32.
-    """
+    """Generate clipped Gaussian noise, amplitudes falling as frequency^-exponent (1: natural photographs)."""
     spectrum = np.fft.rfft2(np.random.default_rng(seed).normal(size=shape))
     frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None])
     frequency[0, 0] = np.inf
@@ -30,10 +26,7 @@ def noise(
 
 
 def chessboard(inner_corners: tuple[int, int], square_mm: float, texel_mm: float) -> np.ndarray:
-    """Draw a chessboard with a white margin of one square, its top-left square black.
-
-    ``inner_corners`` (int, int): along x and y. Returns (h, w) float32, reflectance 0.04 and 0.92.
-    """
+    """Draw a chessboard with a white margin of one square, its top-left square black."""
     nx, ny = inner_corners[0] + 1, inner_corners[1] + 1
     width, height = (round((n * square_mm + 2 * square_mm) / texel_mm) for n in (nx, ny))
     x, y = (((np.arange(n) + 0.5) * texel_mm - square_mm) / square_mm for n in (width, height))

@@ -1,4 +1,4 @@
-"""Draw the icons of the app: a pupil with cyan and yellow halves. A test compares them with the files."""
+"""The icons of the app: a pupil with cyan and yellow halves; ``python tests/icons.py`` writes them."""
 
 from __future__ import annotations
 
@@ -28,10 +28,8 @@ def draw_icon(size_px: int, diameter: float) -> np.ndarray:
     return np.asarray(cv2.resize(picture, (size_px, size_px), interpolation=cv2.INTER_AREA).round().astype(np.uint8))
 
 
-def write_icons(folder: Path) -> None:
-    """Write all icons: ``python -c "from chromaperture.app.icons import *; write_icons(STATIC)"``."""
+STATIC = Path(__file__).parents[1] / "src" / "chromaperture" / "app" / "static"
+
+if __name__ == "__main__":
     for name, (size, diameter) in ICONS.items():
-        write_png(folder / name, draw_icon(size, diameter))
-
-
-STATIC = Path(__file__).parent / "static"
+        write_png(STATIC / name, draw_icon(size, diameter))
