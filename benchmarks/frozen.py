@@ -186,7 +186,7 @@ def of_chains() -> Found:
         ):
             for design, variant in product(NAMES, VARIANTS):
                 camera = CodedApertureCamera(*camera_of(design, size, variant), device="gpu")
-                camera.begin(capture(design, size))
+                camera.submit(capture(design, size))
                 name = f"{size[0]}x{size[1]} {design} {variant}"
                 yield from ((f"{name} {key}", value) for key, value in RecordedChain.sent.items())
 

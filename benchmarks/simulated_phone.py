@@ -17,12 +17,12 @@ from typing import Any
 
 import cv2
 import numpy as np
+from chromaperture.app.assistant_answers import CalibrationJob
 from video_signal import VideoSignal, drawn_smaller, video_frame
 
 from chromaperture.app.assistant import check_shot, sheets_of
-from chromaperture.app.assistant_answers import CalibrationJob
 from chromaperture.app.session_folder import SessionFolder
-from chromaperture.app.workbench import Workbench, heard
+from chromaperture.app.state import Workbench, heard
 from chromaperture.optics.aperture import DESIGNS, OPAQUE, Aperture, Disc, SubAperture, channel_transmission, made_of
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
 from chromaperture.optics.pinhole import PupilCamera, focused_at, pupil_camera

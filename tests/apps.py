@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from chromaperture.app.gate import Access
-from chromaperture.app.workbench import Workbench
+from chromaperture.app.state import AppState
 from chromaperture.color.srgb import linear_to_srgb_bytes
 
 BROWSER_TESTS = [  # marks of a file whose tests need the app's server and a Chromium of the system
@@ -88,7 +88,7 @@ def served(
     from chromaperture.app.server import make_app
 
     access, port = Access("127.0.0.1", TOKEN, command="serve"), port or free_port()
-    application = make_app(Workbench(folder, camera, reserve_bytes=0), access, feeds=feeds)
+    application = make_app(AppState(folder, camera, reserve_bytes=0), access, feeds=feeds)
     for name, value in gate.items():
         setattr(application, name, value)
     ready = threading.Event()

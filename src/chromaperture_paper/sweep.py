@@ -1,7 +1,7 @@
 """Many small trials on all cores; the result does not depend on the number of workers.
 
 Each trial has its own seed, every worker computes on one thread, and results are returned in the order of the trials.
-Finished trials are kept; when a worker dies, only its unfinished trials are repeated.
+TaskResult trials are kept; when a worker dies, only its unfinished trials are repeated.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ import time
 import pytest
 
 from chromaperture.app.gate import MOST_BODY_BYTES, MOST_UPLOADS, Access, Gate, Refused
-from chromaperture.app.workbench import safe_name
+from chromaperture.app.state import safe_name
 
 TOKEN = "right-token-of-the-test"
 HOST = b"127.0.0.1:8733"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from apps import BROWSER_TESTS, DESKTOP, FACTS, PHONE, chromium, chromium_with, open_photo, pages, reading, says, served
-from chromaperture.app.messages import heard
+from chromaperture.app.messages import collect_warnings
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb_bytes
@@ -69,7 +69,7 @@ def test_live_depth_is_that_of_python(page_at, size):
     page.wait_for_selector("#live-viewer canvas:not([hidden])", timeout=30_000)
     page.wait_for_selector("#live-speed:has-text('frames/s')")
     camera, image = open_sample(NAME)
-    with heard() as notes:  # not pytest.warns: the app, in this process, records warnings at the same time
+    with collect_warnings() as notes:  # not pytest.warns: the app, in this process, records warnings at the same time
         picture = linearise(Decoded(linear_to_srgb_bytes(image)), camera_encoding=Encoding(16, 1016))
     assert any("encoded values" in note for note in notes())
     frame = camera.measure(picture)

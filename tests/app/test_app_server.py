@@ -22,7 +22,7 @@ from apps import TOKEN, free_port, served, write_y4m
 from chromaperture.app import certificate as kept
 from chromaperture.app.messages import MOST_COUNT, pack_frame, to_counts
 from chromaperture.app.server import static_files
-from chromaperture.app.workbench import safe_name
+from chromaperture.app.state import safe_name
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb_bytes
@@ -313,11 +313,11 @@ def test_a_browser_that_trusts_the_certificate_is_answered_by_https(tmp_path):
     from chromaperture.app.gate import Access
     from chromaperture.app.listening import make_server
     from chromaperture.app.server import make_app
-    from chromaperture.app.workbench import Workbench
+    from chromaperture.app.state import AppState
 
     made, port, ready = kept.kept_certificate(tmp_path, ["127.0.0.1"]), free_port(), threading.Event()
     access = Access("127.0.0.1", TOKEN, scheme="https", command="serve")
-    application = make_app(Workbench(tmp_path / "app", reserve_bytes=0), access, certificate=made.certificate)
+    application = make_app(AppState(tmp_path / "app", reserve_bytes=0), access, certificate=made.certificate)
     pair = (made.certificate, made.key)
     server = make_server(application, host="127.0.0.1", port=port, certificate=pair, ready=ready.set)
     thread = threading.Thread(target=server.run, daemon=True)

@@ -11,10 +11,10 @@ import pytest
 
 from apps import FACTS
 from chromaperture.app.assistant import advice, best_gain, check_shot, frame_cells, lens_of, sheets_of, state
-from chromaperture.app.assistant_answers import CalibrationJob
+from chromaperture.app.assistant_routes import CalibrationJob
 from chromaperture.app.forecast import curve_sigma
 from chromaperture.app.session_folder import MOST_SHOTS, Holding, SessionFolder, Shot
-from chromaperture.app.workbench import Workbench
+from chromaperture.app.state import AppState
 from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.evaluation.session_checks import Reading, edge_blur
@@ -267,7 +267,7 @@ def test_its_camera_is_that_of_the_command_line(tmp_path, rendered_camera, fille
     ours, theirs = Calibration.load(tmp_path / "app.asdf"), Calibration.load(rendered_camera)
     for name in ("focal_length_mm", "in_focus_mm", "baseline_mm", "infinity_disparity_px", "scale_px_mm"):
         assert ours.summary()[name] == pytest.approx(theirs.summary()[name], rel=5e-3), name
-    (shown,) = Workbench(tmp_path / "app", tmp_path / "app.asdf", reserve_bytes=0).describe_cameras()
+    (shown,) = AppState(tmp_path / "app", tmp_path / "app.asdf", reserve_bytes=0).describe_cameras()
     assert shown["holding"] == held.model_dump()
 
 
@@ -303,5 +303,5 @@ def test_what_a_camera_file_says_of_its_video_may_be_absent_or_nonsense(tmp_path
     camera = replace(Calibration.load(sample_camera("still_life_cy_halves")), provenance={"holding": holding})
     camera = replace(camera, sensor=replace(camera.sensor, siting=siting))
     camera.save(tmp_path / "odd.asdf")
-    (shown,) = Workbench(tmp_path / "app", tmp_path / "odd.asdf", reserve_bytes=0).describe_cameras()
+    (shown,) = AppState(tmp_path / "app", tmp_path / "odd.asdf", reserve_bytes=0).describe_cameras()
     assert (shown["siting"], shown["holding"]) == (siting or "left", None)

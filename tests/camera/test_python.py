@@ -287,7 +287,7 @@ def test_colours_are_made_when_they_are_asked_for(frame, tmp_path):
             take(made[-1], frame.color[made[-1]])
 
     maps = (frame.depth_mm, frame.sigma_mm, frame.disparity_px, frame.disparity_sigma_px, frame.confidence)
-    later = cap.DepthFrame.coloring_later(bands, maps, frame.image, (frame.calibration, frame.config))
+    later = cap.DepthFrame.with_lazy_color(bands, maps, frame.image, (frame.calibration, frame.config))
     assert "color" not in vars(later)
     for one, other in zip(later.save(tmp_path / "a"), frame.save(tmp_path / "b"), strict=True):
         if one.suffix != ".json" and ".preview" not in one.name:  # its title is the file's name

@@ -16,8 +16,8 @@ from chromaperture.depth.conversion import DepthModel
 from chromaperture.matching.device.device import open_device
 from chromaperture.matching.device.gpu_method import GpuMethod
 from chromaperture.matching.estimate import estimate_disparity, method_for
+from chromaperture.matching.integer_light import MOVE_PARTS, halved_moves, moved, pixel_maps
 from chromaperture.matching.views import channel_space, halved_views
-from chromaperture.matching.whole_light import MOVE_PARTS, halved_moves, moved, pixel_maps
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Film
 from chromaperture.model.scale import resized

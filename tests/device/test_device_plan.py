@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from chromaperture.app.device_plan import color_tables, light_of_counts, make_plan, make_points
 from chromaperture.app.messages import pack_array
-from chromaperture.app.workbench import Workbench
+from chromaperture.app.state import AppState
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
 from chromaperture.capture.files import Decoded, linearise
@@ -123,18 +123,18 @@ def test_points_are_those_of_the_command_line(camera):
     ],
 )
 def test_plans_that_cannot_be_made_are_one_line(tmp_path, size, exchange, reason):
-    workbench = Workbench(tmp_path, sample_camera(NAME), reserve_bytes=0)
+    app_state = AppState(tmp_path, sample_camera(NAME), reserve_bytes=0)
     with pytest.raises(InputError, match=reason):
-        workbench.plan("cy_halves", size, exchange)
+        app_state.plan("cy_halves", size, exchange)
 
 
 def test_a_plan_of_another_size_says_so(tmp_path):
-    workbench = Workbench(tmp_path, sample_camera(NAME), reserve_bytes=0)
-    text, _ = unpacked(workbench.plan("cy_halves", (480, 320), "shared"))
+    app_state = AppState(tmp_path, sample_camera(NAME), reserve_bytes=0)
+    text, _ = unpacked(app_state.plan("cy_halves", (480, 320), "shared"))
     assert (text["width"], text["height"]) == (480, 320)
     assert any("480x320" in note for note in text["notes"])
-    assert workbench.plan("cy_halves", (480, 320), "shared") is workbench.plan("cy_halves", (480, 320), "shared")
-    half, _ = unpacked(workbench.plan("cy_halves", (360, 240), "shared"))  # squares of pixels: the whole frame for sure
+    assert app_state.plan("cy_halves", (480, 320), "shared") is app_state.plan("cy_halves", (480, 320), "shared")
+    half, _ = unpacked(app_state.plan("cy_halves", (360, 240), "shared"))  # squares of pixels: the whole frame for sure
     assert not any("360x240" in note for note in half["notes"])
 
 

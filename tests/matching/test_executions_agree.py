@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 
 from chromaperture.matching.device.gpu_method import on_device
 from chromaperture.matching.estimate import estimate_disparity, method_for
+from chromaperture.matching.integer_light import in_whole_units
 from chromaperture.matching.labels import IDENTITY, LabelMap, labels_between
 from chromaperture.matching.readable.correlation import SCORE_PARTS
 from chromaperture.matching.readable.four_paths import log_likelihood, scores_at_labels, summed_costs
 from chromaperture.matching.real_time import RealTimeMethod
 from chromaperture.matching.result import NoiseModel
 from chromaperture.matching.views import Views, filtered_views, halved_views
-from chromaperture.matching.whole_light import in_whole_units
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.settings.methods import AccurateConfig, PaperConfig, RealTimeConfig, preset
 from chromaperture.settings.stages import FourPathsConfig, LayersConfig

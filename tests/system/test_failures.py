@@ -27,7 +27,7 @@ import pytest
 from chromaperture.calibration.calibrate_session import CalibrationResult
 from chromaperture.depth.field import DepthField
 from chromaperture.system.errors import InputError, OutOfMemoryError, within_memory
-from chromaperture.system.threads import begun, beside, check_environment, in_parallel, parallel_map
+from chromaperture.system.threads import beside, check_environment, in_parallel, parallel_map, submit
 from worlds import capture, content, halves_camera, texture
 
 ROOT = Path(__file__).parents[2]
@@ -548,7 +548,7 @@ def test_work_is_done_here_where_no_thread_can_be_started(monkeypatch, fails_at)
         assert parallel_map(lambda i: i * i, range(20)) == [i * i for i in range(20)]
         with beside() as begin:
             assert begin(lambda: 5).result() == 5
-        assert begun(lambda: 6)() == 6
+        assert submit(lambda: 6)() == 6
     assert (done == 1).all()
     assert sorted(numbers) == list(range(7))
 
@@ -562,7 +562,7 @@ def test_an_error_of_one_portion_is_raised_once_all_have_ended():
         in_parallel(work, 40, threads=4)
     with pytest.raises(ZeroDivisionError):
         parallel_map(lambda i: 1 // i, [3, 2, 1, 0, 1, 2])
-    outcome = begun(lambda: 1 // 0)
+    outcome = submit(lambda: 1 // 0)
     for _ in range(2):  # whoever asks is told
         with pytest.raises(ZeroDivisionError):
             outcome()

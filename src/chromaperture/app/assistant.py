@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.app.forecast import BOARD_SIGMA_PX, Forecast, Gain, Lens, best_gain, forecast
-from chromaperture.app.messages import heard
+from chromaperture.app.messages import collect_warnings
 from chromaperture.app.session_folder import Kind, SessionFolder
 from chromaperture.calibration.fit_response import disparity_error
 from chromaperture.calibration.session import Session, nominal_depth_model
@@ -64,7 +64,7 @@ def check_shot(
     if kind == "white":
         if sheet not in sheets_of(folder):
             raise InputError("which white sheet is this? Choose one of the list")
-        with heard():  # of 8 bits, which is said of the photograph itself
+        with collect_warnings():  # of 8 bits, which is said of the photograph itself
             clear = session.white("open")
         return CheckedShot(Reading(), check_sheet(image, sheet, design=session.design, clear=clear))
     if ruler_mm is None or not 0 < ruler_mm < 1e6:
@@ -326,6 +326,6 @@ def _rows(predicted: Forecast) -> dict[str, list[float]]:
 
 def read_for_check(session: Session, path: Path) -> tuple[np.ndarray, list[str]]:
     """Read a photograph of a session; returns it and what reading it warned of; raises InputError."""
-    with heard() as notes:
+    with collect_warnings() as notes:
         image = session.read(path)
     return image, notes()

@@ -102,7 +102,7 @@ class CameraFeed:
         self._thread = threading.Thread(target=self._run, name=f"feed {self.name}", daemon=True)
         self._thread.start()
 
-    def _heard(self, event: Event) -> None:
+    def _on_event(self, event: Event) -> None:
         with self._state:
             self._event = "" if event.kind == "reconnected" else f" ({event.message})"
 
@@ -110,7 +110,7 @@ class CameraFeed:
         ended = f"{self.name} has no more pictures; asked again, it begins anew"
         watch = threading.Thread(target=self._release_when_idle, name=f"idle {self.name}", daemon=True)
         try:
-            with open_source(self.spec, listener=self._heard) as source:
+            with open_source(self.spec, listener=self._on_event) as source:
                 with self._state:
                     self._source = source
                 watch.start()
@@ -193,7 +193,7 @@ def _levels(encoding: Encoding) -> tuple[float, float]:
     return (black, white) if white - black >= _LEAST_SPAN and black >= 0 and white <= 65535 else _WIDE
 
 
-class CameraAnswers:
+class CameraRoutes:
     """The answer to each address of the cameras that the command line names: a page chooses one by its number."""
 
     def __init__(self, feeds: Sequence[CameraFeed] = ()) -> None:

@@ -11,7 +11,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from chromaperture.app.messages import Packing, heard
+from chromaperture.app.messages import Packing, collect_warnings
 from chromaperture.camera.alignment import channel_shifts
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.capture.checks import all_black
@@ -101,7 +101,7 @@ def light_of_counts(calibration: Calibration) -> tuple[np.ndarray, list[str]]:
     """Return the linear light of the 256 counts of a picture of 8 bits, (256,) float32, and notes about it."""
     counts = np.repeat(np.arange(256, dtype=np.uint8)[:, None, None], 3, axis=2)
     encoding = calibration.sensor.encoding if calibration.is_calibrated else None
-    with heard() as notes:
+    with collect_warnings() as notes:
         light = linearise(Decoded(counts), camera_encoding=encoding)
     return np.ascontiguousarray(light[:, 0, 0]), notes()
 

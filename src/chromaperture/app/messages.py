@@ -144,7 +144,7 @@ _ONE_AT_A_TIME = threading.RLock()
 
 
 @contextlib.contextmanager
-def heard() -> Iterator[Callable[[], list[str]]]:
+def collect_warnings() -> Iterator[Callable[[], list[str]]]:
     """Collect the sentences of warnings about captures; what is yielded returns them."""
     with _ONE_AT_A_TIME, warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")

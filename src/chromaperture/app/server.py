@@ -13,13 +13,13 @@ from typing import Any, TypeVar
 
 import cv2
 
-from chromaperture.app.assistant_answers import AssistantAnswers
-from chromaperture.app.camera_feed import CameraAnswers, CameraFeed
+from chromaperture.app.assistant_routes import AssistantRoutes
+from chromaperture.app.camera_feed import CameraFeed, CameraRoutes
 from chromaperture.app.device_plan import color_tables
 from chromaperture.app.gate import Access, Gate, Refused
 from chromaperture.app.listening import require_extra
 from chromaperture.app.messages import File, number, pack_frame, saved, whole
-from chromaperture.app.workbench import DEPTH_INSIDE, Workbench
+from chromaperture.app.state import DEPTH_INSIDE, AppState
 from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.system.errors import ChromapertureError, InputError, lacks_memory
@@ -37,7 +37,7 @@ class Busy(Exception):
     """More measurements wait than will be taken."""
 
 
-class Desk:
+class WorkQueue:
     """Give one task at a time to a thread, because the matcher uses all cores."""
 
     def __init__(self) -> None:
@@ -86,34 +86,34 @@ async def colors(request: Any) -> Any:
     return {n: t.tolist() for n, t in zip(("depth", "sigma"), color_tables(), strict=True)}
 
 
-class Answers:
+class Routes:
     """The answer to each address, without the token."""
 
-    def __init__(self, workbench: Workbench, certificate: Path | None = None) -> None:
-        self.workbench, self.certificate = workbench, certificate
-        self.desk = Desk()
+    def __init__(self, app_state: AppState, certificate: Path | None = None) -> None:
+        self.app_state, self.certificate = app_state, certificate
+        self.queue = WorkQueue()
         self.is_calibrating: Callable[[], bool] = lambda: False
 
     async def about(self, request: Any) -> Any:
         """Return what the page needs to know at its start."""
-        cameras = await self.desk.run(self.workbench.describe_cameras)
+        cameras = await self.queue.run(self.app_state.describe_cameras)
         return {
             "version": version("chromaperture"),
             "cameras": cameras,
             "designs": {name: design.title for name, design in DESIGNS.items() if design.views},
-            "folder": str(self.workbench.folder),
+            "folder": str(self.app_state.folder),
             "certificate": self.certificate is not None,
         }  # fmt: skip
 
     async def add_camera(self, request: Any) -> Any:
         """Keep a camera file."""
-        async with self.workbench.upload(request, ".asdf") as path:
-            kept = partial(self.workbench.add_camera, request.query_params.get("name", "camera"), path)
-            return {"name": await self.desk.run(kept)}
+        async with self.app_state.upload(request, ".asdf") as path:
+            kept = partial(self.app_state.add_camera, request.query_params.get("name", "camera"), path)
+            return {"name": await self.queue.run(kept)}
 
     async def camera(self, request: Any) -> Any:
         """Return a camera file."""
-        path = self.workbench.camera_path(request.path_params["name"])
+        path = self.app_state.camera_path(request.path_params["name"])
         return saved(path.read_bytes(), f"{path.stem}.asdf")
 
     async def plan(self, request: Any) -> Any:
@@ -121,14 +121,14 @@ class Answers:
         asked = request.query_params
         size = (whole(asked, "width"), whole(asked, "height"))
         exchange = asked.get("exchange", "shared")
-        packed = await self.desk.run(partial(self.workbench.plan, request.path_params["name"], size, exchange))
+        packed = await self.queue.run(partial(self.app_state.plan, request.path_params["name"], size, exchange))
         return packed
 
     async def points(self, request: Any) -> Any:
         """Return what makes points of the maps of a camera."""
         asked = request.query_params
         size, quality = (whole(asked, "width"), whole(asked, "height")), asked.get("quality", "real-time")
-        packed = await self.desk.run(partial(self.workbench.points, request.path_params["name"], size, quality))
+        packed = await self.queue.run(partial(self.app_state.points, request.path_params["name"], size, quality))
         return packed
 
     async def frame(self, request: Any) -> Any:
@@ -140,22 +140,22 @@ class Answers:
 
         def work() -> bytes:
             began = time.perf_counter()
-            frame, notes = self.workbench.measure_pixels(
+            frame, notes = self.app_state.measure_pixels(
                 data, size, camera=asked.get("camera", ""), quality=asked.get("quality", "real-time")
             )
             return pack_frame(frame, {"seconds": time.perf_counter() - began, "notes": notes})
 
-        return await self.desk.run(work)
+        return await self.queue.run(work)
 
     async def photo(self, request: Any) -> Any:
         """Measure a photograph's file."""
         self._free()
         asked = request.query_params
-        async with self.workbench.upload(request, asked.get("name", "photo.png")) as path:
+        async with self.app_state.upload(request, asked.get("name", "photo.png")) as path:
 
             def work() -> bytes:
                 began = time.perf_counter()
-                key, photo = self.workbench.measure_photo(
+                key, photo = self.app_state.measure_photo(
                     path, camera=asked.get("camera", ""), quality=asked.get("quality", "real-time")
                 )
                 facts = {
@@ -164,7 +164,7 @@ class Answers:
                 }  # fmt: skip
                 return pack_frame(photo.measured.frame, facts)
 
-            return await self.desk.run(work)
+            return await self.queue.run(work)
 
     def _free(self) -> None:
         """Refuse to measure beside a calibration: it uses all cores for minutes."""
@@ -178,26 +178,26 @@ class Answers:
 
         def work() -> bytes:
             f_number = number(asked, "f_number") if "f_number" in asked else None
-            picture = self.workbench.refocused(
+            picture = self.app_state.refocused(
                 request.path_params["photo"], at=at, f_number=f_number,
                 background=asked.get("background", "keep"), sharpness=asked.get("sharpness", "preview"),
             )  # fmt: skip
             return bytes(cv2.imencode(".png", picture[..., ::-1])[1])
 
-        return File(await self.desk.run(work), "image/png")
+        return File(await self.queue.run(work), "image/png")
 
     async def photo_files(self, request: Any) -> Any:
         """Return the files of a photograph."""
         key = request.path_params["photo"]
-        packed = await self.desk.run(partial(self.workbench.photo_files, key))
-        return saved(packed, f"{self.workbench.photo(key).measured.path.stem}.zip", "application/zip")
+        packed = await self.queue.run(partial(self.app_state.photo_files, key))
+        return saved(packed, f"{self.app_state.photo(key).measured.path.stem}.zip", "application/zip")
 
     async def embedded(self, request: Any) -> Any:
         """Return a photograph with its depth inside."""
         key = request.path_params["photo"]
         output = request.query_params.get("format", DEPTH_INSIDE[0])
-        content = await self.desk.run(partial(self.workbench.with_depth_inside, key, output))
-        name = self.workbench.photo(key).measured.path.stem + OUTPUTS[output].suffix
+        content = await self.queue.run(partial(self.app_state.with_depth_inside, key, output))
+        name = self.app_state.photo(key).measured.path.stem + OUTPUTS[output].suffix
         return saved(content, name, "image/jpeg")
 
     async def trust(self, request: Any) -> Any:
@@ -207,7 +207,7 @@ class Answers:
         return saved(self.certificate.read_bytes(), "chromaperture.crt", "application/x-x509-ca-cert")
 
 
-def said(answer: Callable[[Any], Awaitable[Any]]) -> Callable[[Any], Awaitable[Any]]:
+def json_errors(answer: Callable[[Any], Awaitable[Any]]) -> Callable[[Any], Awaitable[Any]]:
     """Make an answer of bytes, a `File`, or plain values as JSON, and a sentence of what is raised on purpose."""
 
     async def with_sentence(request: Any) -> Any:
@@ -239,16 +239,16 @@ def said(answer: Callable[[Any], Awaitable[Any]]) -> Callable[[Any], Awaitable[A
 
 
 def make_app(
-    workbench: Workbench, access: Access, *, certificate: Path | None = None, feeds: Sequence[CameraFeed] = ()
+    app_state: AppState, access: Access, *, certificate: Path | None = None, feeds: Sequence[CameraFeed] = ()
 ) -> Gate:
     """Put the server's application together, behind its checks; raises MissingDependencyError."""
     require_extra()
     from starlette.applications import Starlette
     from starlette.routing import Route
 
-    answers = Answers(workbench, certificate)
-    cameras = CameraAnswers(feeds)
-    assistant = AssistantAnswers(workbench, answers.desk, cameras)
+    answers = Routes(app_state, certificate)
+    cameras = CameraRoutes(feeds)
+    assistant = AssistantRoutes(app_state, answers.queue, cameras)
     answers.is_calibrating = assistant.is_calibrating
     table = [
         *assistant.table(),
@@ -268,5 +268,5 @@ def make_app(
         ("GET", "/", page),
         ("GET", "/{name}", page),
     ]
-    routes = [Route(path, said(answer), methods=[method]) for method, path, answer in table]
+    routes = [Route(path, json_errors(answer), methods=[method]) for method, path, answer in table]
     return Gate(Starlette(routes=routes), access, uploads=UPLOADS)

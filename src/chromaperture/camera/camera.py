@@ -44,12 +44,24 @@ class Checked(NamedTuple):
     on_disk: bool  # whether its volumes do not fit into memory
 
 
-class Begun(NamedTuple):
-    """A photograph that a camera has begun to measure: see `CodedApertureCamera.begin`."""
+class PendingFrame(NamedTuple):
+    """A photograph that is being measured: see `CodedApertureCamera.submit`."""
 
     camera: CodedApertureCamera  # that measures it
     checked: Checked
     pending: Pending[Measured]
+
+    def result(self, *, on_device_free: Callable[[], None] = lambda: None) -> DepthFrame:
+        """Return the measurement; raises as `CodedApertureCamera.measure`.
+
+        Parameters
+        ----------
+        on_device_free : callable, optional
+            Called once the device is free, before the CPU finishes the photograph: the time to submit another.
+        """
+        measured = self.camera._matched(self)
+        on_device_free()
+        return self.camera._completed(self.checked, measured, lambda name: nullcontext())
 
 
 class CodedApertureCamera:
@@ -130,18 +142,18 @@ class CodedApertureCamera:
         with stage("check"):
             checked = self._checked(image)
         with stage("disparity"):  # Eq. (1) and section 3.1
-            measured = self._matched(self._begun(checked))
+            measured = self._matched(self._submitted(checked))
         return self._completed(checked, measured, stage)
 
     @property
-    def measures_ahead(self) -> bool:
-        """Whether a photograph can be computed while the one before is read back: see `begin`."""
-        return self.method.works_ahead
+    def can_pipeline(self) -> bool:
+        """Whether a photograph can be computed while the one before is read back: see `submit`."""
+        return self.method.can_pipeline
 
-    def begin(self, image: np.ndarray) -> Begun:
+    def submit(self, image: np.ndarray) -> PendingFrame:
         """Send a photograph of a stream to the device, and return at once; as `measure` otherwise.
 
-        At most two are begun and not yet completed; `complete` them in turn. On the CPU nothing happens before that.
+        At most two are under way; take their results in turn. On the CPU nothing happens before that.
 
         Parameters
         ----------
@@ -149,23 +161,24 @@ class CodedApertureCamera:
         """
         image = checked_image(image)
         if self._is_of_another_size(image):
-            return self._resized_to(image).begin(image)
-        return self._begun(self._checked(image))
+            return self._resized_to(image).submit(image)
+        return self._submitted(self._checked(image))
 
-    def complete(self, begun: Begun, *, meanwhile: Callable[[], None] = lambda: None) -> DepthFrame:
-        """Return the measurement of a photograph that was begun; raises as `measure`.
+    @property
+    def measures_ahead(self) -> bool:
+        """Return `can_pipeline`, by its name until version 0.3."""
+        _renamed("measures_ahead", "can_pipeline")
+        return self.can_pipeline
 
-        Parameters
-        ----------
-        begun : Begun
-            Of `begin`.
-        meanwhile : callable, optional
-            Called once the device is free, before the CPU finishes the photograph: the time to begin another.
-        """
-        camera = begun.camera
-        measured = camera._matched(begun)
-        meanwhile()
-        return camera._completed(begun.checked, measured, lambda name: nullcontext())
+    def begin(self, image: np.ndarray) -> PendingFrame:
+        """Call `submit`, by its name until version 0.3."""
+        _renamed("begin", "submit")
+        return self.submit(image)
+
+    def complete(self, begun: PendingFrame, *, meanwhile: Callable[[], None] = lambda: None) -> DepthFrame:
+        """Call `PendingFrame.result`, by its name until version 0.3."""
+        _renamed("complete", "the method result of what submit returns")
+        return begun.result(on_device_free=meanwhile)
 
     def _is_of_another_size(self, image: np.ndarray) -> bool:
         """Return whether the image shows the whole frame in other pixels."""
@@ -202,7 +215,7 @@ class CodedApertureCamera:
             made_by = self.calibration, self.config
             if color is None and disparity.value_px.size > _WHOLE_PX:
                 align = partial(self.alignment.align_bands, image, disparity.value_px)
-                frame = DepthFrame.coloring_later(align, maps, image, made_by)
+                frame = DepthFrame.with_lazy_color(align, maps, image, made_by)
             else:
                 color = self.alignment.align(image, disparity.value_px) if color is None else color
                 frame = DepthFrame(*maps, color, image, *made_by)
@@ -315,12 +328,12 @@ class CodedApertureCamera:
         model = cast(DepthModel, self.depth_model)
         return disparity_to_depth(pixels, model, sigma_px=disparity.sigma_px, max_depth_mm=most_mm)
 
-    def _begun(self, checked: Checked) -> Begun:
-        return Begun(self, checked, self.method.start(checked.known, self._extras))
+    def _submitted(self, checked: Checked) -> PendingFrame:
+        return PendingFrame(self, checked, self.method.start(checked.known, self._extras))
 
-    def _matched(self, begun: Begun) -> Measured:
-        with volumes_on_disk(begun.checked.on_disk):
-            return begun.pending.result()
+    def _matched(self, frame: PendingFrame) -> Measured:
+        with volumes_on_disk(frame.checked.on_disk):
+            return frame.pending.result()
 
     @property
     def _extras(self) -> Extras:
@@ -381,6 +394,11 @@ def load_camera(
     calibration = Calibration.load(path)
     config = default_config(calibration, quality, scale=scale)
     return CodedApertureCamera(calibration, config, execution=execution, device=device)
+
+
+def _renamed(old: str, new: str) -> None:
+    """Warn of a name that goes with the next version."""
+    warnings.warn(f"CodedApertureCamera.{old} is now {new}", DeprecationWarning, stacklevel=3)
 
 
 _MAPS = ("depth_mm", "sigma_mm", "disparity_px", "disparity_sigma_px", "confidence", "color", "image")

@@ -54,14 +54,14 @@ def serve(
     from chromaperture.app.gate import Access
     from chromaperture.app.listening import make_server
     from chromaperture.app.server import make_app
-    from chromaperture.app.workbench import Workbench
+    from chromaperture.app.state import AppState
 
     state = state_folder()
     host, names = ("0.0.0.0", own_names()) if lan else ("127.0.0.1", [])
     token = kept_token(state, anew=new_address)
     access = Access(host, token, scheme="https" if lan else "http", command="serve")
     trusted = kept_certificate(state, names) if lan else None
-    bench = Workbench(out, camera, reserve_bytes=int(keep_free_gb * 2**30))
+    bench = AppState(out, camera, reserve_bytes=int(keep_free_gb * 2**30))
     files = None if trusted is None else trusted.certificate
     feeds = [CameraFeed(spec) for spec in source or []]
     application = make_app(bench, access, certificate=files, feeds=feeds)

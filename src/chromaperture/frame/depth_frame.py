@@ -60,7 +60,7 @@ class DepthFrame:
     config: Config | None = None
 
     @classmethod
-    def coloring_later(
+    def with_lazy_color(
         cls,
         color_bands: ColorBands,
         maps: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray],
@@ -84,7 +84,7 @@ class DepthFrame:
         return frame
 
     def __getattr__(self, name: str) -> Any:
-        """Make the colours where `coloring_later` has left them out; Python asks only for what is not there."""
+        """Make the colours where `with_lazy_color` has left them out; Python asks only for what is not there."""
         if name != "color" or "_color_bands" not in self.__dict__:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         color = np.empty((*self.disparity_px.shape, 3), np.float32)

@@ -39,7 +39,7 @@ from chromaperture.matching.result import Disparity, Method, NoiseModel, Pending
 from chromaperture.matching.views import ViewSpace, clipped_filled, filtered_views
 from chromaperture.settings.methods import AccurateConfig
 from chromaperture.system.errors import InputError
-from chromaperture.system.threads import begun, each_band
+from chromaperture.system.threads import each_band, submit
 
 EDGE_REACH_PX = 8  # two sigmas of the correlation window
 POOLED_PX = 8.0  # sigma of the window in which the posterior's variance is averaged: paths draw streaks into it
@@ -112,7 +112,7 @@ class AccurateMethod(Method):
         """Begin with an image (H, W, 3); ``find`` is `path_surface`, or a device that finds the same."""
         prepared = self.prepared(image)
         pending = find(prepared)
-        depth_edges = begun(partial(depth_edges_of, prepared.image))
+        depth_edges = submit(partial(depth_edges_of, prepared.image))
 
         def result() -> Disparity:
             found = pending.result()

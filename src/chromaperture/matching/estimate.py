@@ -99,7 +99,7 @@ def method_for(
         measured point-spread functions.
     channel_moves_px : (rows, columns, 3, 2) float, optional
         Displacement of R, G, B by the lens, which ``real-time`` takes off where it matches all three; see
-        `whole_light.halved_moves`.
+        `integer_light.halved_moves`.
     noise : NoiseModel
         Of the camera's images.
     execution : {"numba", "numpy"}

@@ -26,7 +26,7 @@ class NoiseModel(NamedTuple):
     # weights, but not to subtract from scores.
     is_known: bool
 
-    def given_or_computed(self, image: np.ndarray, noise_variance: np.ndarray | None) -> np.ndarray:
+    def variance_of(self, image: np.ndarray, noise_variance: np.ndarray | None) -> np.ndarray:
         """Return the variance of an image's noise, (H, W, 3): what was computed before, if there is something."""
         return self.variance(image) if noise_variance is None else noise_variance
 
@@ -121,7 +121,7 @@ class Method(ABC):
         return Pending(lambda: Measured(self.match(image)))
 
     @property
-    def works_ahead(self) -> bool:
+    def can_pipeline(self) -> bool:
         """Whether `start` computes a photograph while the one before is read back."""
         return False
 

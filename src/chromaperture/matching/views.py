@@ -19,7 +19,7 @@ from chromaperture.color.unmixing import (
     view_directions,
     view_reach,
 )
-from chromaperture.matching.whole_light import (
+from chromaperture.matching.integer_light import (
     PixelMaps,
     even_mean,
     halved_whole,
@@ -132,7 +132,7 @@ class ViewSpace:
     rows: np.ndarray  # (K, 3) float64: weights of R, G, B in each view
     guide_rgb: np.ndarray  # (3,) float64: weights of R, G, B in the guide
     # (rows, columns, K, 2) float64, px, or None: displacement of each view by the lens, whatever the disparity, which
-    # `halved_views` takes off; see `whole_light.halved_moves`.
+    # `halved_views` takes off; see `integer_light.halved_moves`.
     moves_px: np.ndarray | None = None
 
 
@@ -152,7 +152,7 @@ class Views:
     guide: np.ndarray
     mask: np.ndarray  # (H, W) float32: 1 where the capture is usable, 0 where it is saturated or not finite
     noise: ViewNoise | None = None  # None where no use is made of it
-    unit: float = 0.0  # the pictures are multiples of it (`whole_light.light_unit`); 0 where they are any numbers
+    unit: float = 0.0  # the pictures are multiples of it (`integer_light.light_unit`); 0 where they are any numbers
 
 
 def view_spaces(

@@ -28,7 +28,7 @@ class WorkersDiedError(InputError):
 
 
 @dataclass(frozen=True)
-class Finished(Generic[T]):
+class TaskResult(Generic[T]):
     """A task with what it returned, or with the error it ended in."""
 
     task: T
@@ -75,7 +75,7 @@ def run_tasks(
     tasks: Iterable[T],
     *shared: Any,
     key_of: Callable[[T], str] | None = None,
-) -> Iterator[Finished[T]]:
+) -> Iterator[TaskResult[T]]:
     """Run ``function(task, *shared)`` on the workers, for every task.
 
     Dask runs the task of a worker that died on another one. A task during which workers died repeatedly is run once
@@ -102,7 +102,7 @@ def run_tasks(
     for task in islice(waiting, AT_ONCE):
         submit(task)
     while running:
-        future = _patiently(client, lambda seconds: finished.get(timeout=seconds))
+        future = _wait_with_timeout(client, lambda seconds: finished.get(timeout=seconds))
         result = _finished(running.pop(future), future, client)
         del future  # the scheduler forgets the result
         for task in islice(waiting, 1):
@@ -113,7 +113,7 @@ def run_tasks(
             yield result
     for task in suspects:
         submit(task)
-        future = _patiently(client, lambda seconds: finished.get(timeout=seconds))
+        future = _wait_with_timeout(client, lambda seconds: finished.get(timeout=seconds))
         yield _finished(running.pop(future), future, client)
 
 
@@ -121,7 +121,7 @@ def _same(argument: T) -> T:
     return argument
 
 
-def _patiently(client: Any, wait: Callable[[float], T]) -> T:
+def _wait_with_timeout(client: Any, wait: Callable[[float], T]) -> T:
     """Repeat a wait that ends in TimeoutError or Empty while the scheduler and its workers are there."""
     last_seen = time.monotonic()
     while True:
@@ -140,13 +140,13 @@ def _patiently(client: Any, wait: Callable[[float], T]) -> T:
                 ) from None
 
 
-def _finished(task: T, future: Any, client: Any) -> Finished[T]:
+def _finished(task: T, future: Any, client: Any) -> TaskResult[T]:
     dask = dask_distributed()
     ended = ("error", "cancelled")
     if future.status not in ended:
         try:
             # A result is fetched from its worker. When that died meanwhile, the task is run again, and waited for here.
-            return Finished(task, _patiently(client, lambda seconds: future.result(timeout=seconds)))
+            return TaskResult(task, _wait_with_timeout(client, lambda seconds: future.result(timeout=seconds)))
         except (Exception, dask.CancelledError) as raised:
             if future.status not in ended:
                 # The connection to the scheduler closed while it sent the result.
@@ -155,8 +155,8 @@ def _finished(task: T, future: Any, client: Any) -> Finished[T]:
     if error is None:
         raise _lost(client)
     if isinstance(error, dask.scheduler.KilledWorker):
-        return Finished(task, error=WorkersDiedError("workers died repeatedly, perhaps for lack of memory"))
-    return Finished(task, error=error)
+        return TaskResult(task, error=WorkersDiedError("workers died repeatedly, perhaps for lack of memory"))
+    return TaskResult(task, error=error)
 
 
 def _lost(client: Any) -> InputError:

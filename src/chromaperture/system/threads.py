@@ -118,7 +118,7 @@ def beside() -> Iterator[Callable[[Callable[[], R]], Future[R]]]:
         yield begin
 
 
-def begun(work: Callable[[], R]) -> Callable[[], R]:
+def submit(work: Callable[[], R]) -> Callable[[], R]:
     """Begin work on another thread; what is returned waits for its outcome, and does it if no thread has begun it."""
     task = _Task(work)
     if thread_count() > 1:

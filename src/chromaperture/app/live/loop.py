@@ -23,7 +23,7 @@ import numpy as np
 from chromaperture.app.free_space import RESERVE_BYTES, require_space
 from chromaperture.app.live.slots import Meter, Slot
 from chromaperture.app.live.watchdog import Watchdog
-from chromaperture.camera.camera import Begun, CodedApertureCamera, DepthFrame
+from chromaperture.camera.camera import CodedApertureCamera, DepthFrame, PendingFrame
 from chromaperture.capture.recording import Recorder
 from chromaperture.capture.source import Frame, Source
 from chromaperture.products.foxglove_stream import FoxgloveStream
@@ -58,7 +58,7 @@ class _Ahead(NamedTuple):
     arrived: float
     frame: Frame
     start: float
-    begun: Begun | None  # None on the CPU, where nothing is computed ahead
+    pending: PendingFrame | None  # None on the CPU, where nothing is computed ahead
 
 
 class LiveLoop:
@@ -267,8 +267,8 @@ class LiveLoop:
                 height, width = frame.counts.shape[:2]
                 if self.camera.shows_frame_at((width, height)):
                     self.camera = self.camera.at_size(width, height)
-                begun = self.camera.begin(frame.image) if self.camera.measures_ahead else None
-                return _Ahead(arrived, frame, start, begun)
+                pending = self.camera.submit(frame.image) if self.camera.can_pipeline else None
+                return _Ahead(arrived, frame, start, pending)
         except Exception as error:  # of this frame, whatever it holds; the next may be in order
             self._unused(frame, error)
             return None
@@ -277,10 +277,10 @@ class LiveLoop:
         """Measure a frame, and hand it on."""
         try:
             with self.watchdog.stage("measure"):
-                if here.begun is None:
+                if here.pending is None:
                     measurement = self.camera.measure(here.frame.image)
                 else:
-                    measurement = self.camera.complete(here.begun, meanwhile=self._begin_waiting)
+                    measurement = here.pending.result(on_device_free=self._begin_waiting)
         except Exception as error:
             self._unused(here.frame, error)
             return

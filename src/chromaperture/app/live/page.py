@@ -16,7 +16,7 @@ from chromaperture.app.listening import NEXT_PORTS, make_server, require_extra
 from chromaperture.app.live.loop import LiveLoop
 from chromaperture.app.live.view import LiveView
 from chromaperture.app.messages import File, number, whole
-from chromaperture.app.server import colors, page_file, said
+from chromaperture.app.server import colors, json_errors, page_file
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.model.scale import resized
 
@@ -53,7 +53,7 @@ class LivePage:
         self._thread.join(_END_S)
 
 
-class LiveAnswers:
+class LiveRoutes:
     """The answer to each address of the page of a live loop, without the token."""
 
     def __init__(self, view: LiveView) -> None:
@@ -140,5 +140,5 @@ def make_live_app(view: LiveView, access: Access) -> Gate:
     from starlette.applications import Starlette
     from starlette.routing import Route
 
-    routes = [Route(path, said(answer), methods=[method]) for method, path, answer in LiveAnswers(view).table()]
+    routes = [Route(path, json_errors(answer), methods=[method]) for method, path, answer in LiveRoutes(view).table()]
     return Gate(Starlette(routes=routes), access)

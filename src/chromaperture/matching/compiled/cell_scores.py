@@ -6,7 +6,7 @@ products over windows along x, at every second px only, and then over the rows o
 number are kept apart, so that every second px is a neighbour in memory. Layers whose samples lie at the same sub-pixel
 phase follow each other and share them.
 
-Light counts in whole units, so that sums are exact, whatever their order (`whole_light.py`); only the last step, from
+Light counts in whole units, so that sums are exact, whatever their order (`integer_light.py`); only the last step, from
 covariances to a score, rounds.
 
 Memory: 2 bytes a score and 0.5 MB a thread at 1280 px width.
@@ -23,6 +23,7 @@ import numpy as np
 from chromaperture.matching.compiled import simd as v
 from chromaperture.matching.compiled.layout import BLOCK, ONE, SCORE_SCALE, ZERO, whole_vectors
 from chromaperture.matching.compiled.workspace import Workspace
+from chromaperture.matching.integer_light import whole_taps
 from chromaperture.matching.readable.correlation import (
     CELL_TAPS,
     CONTRARY,
@@ -32,7 +33,6 @@ from chromaperture.matching.readable.correlation import (
     cell_variance_floor,
 )
 from chromaperture.matching.views import Views, view_pairs
-from chromaperture.matching.whole_light import whole_taps
 from chromaperture.settings.stages import CorrelationConfig
 from chromaperture.system.compilation import compiled, inlined
 from chromaperture.system.threads import in_parallel

@@ -19,7 +19,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, register_model
 
-from chromaperture.matching.whole_light import LOGARITHM
+from chromaperture.matching.integer_light import LOGARITHM
 
 LANES = 8
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from chromaperture.matching.device.device import GROUP, Array, Chain
 from chromaperture.matching.device.view_stages import GUIDE_SCALE, Planes
+from chromaperture.matching.integer_light import LOGARITHM, whole_taps
 from chromaperture.matching.readable.correlation import (
     CELL_EPSILON,
     CELL_TAPS,
@@ -29,7 +30,6 @@ from chromaperture.matching.readable.correlation import (
 )
 from chromaperture.matching.readable.enlarge import JUMP_PX
 from chromaperture.matching.readable.four_paths import LEAST_DETERMINANT, NAT_PARTS
-from chromaperture.matching.whole_light import LOGARITHM, whole_taps
 from chromaperture.settings.stages import CorrelationConfig
 
 _BLOCK = 64  # most px of a line that an invocation takes
@@ -90,7 +90,7 @@ def chunks_of(
     """Cut the layers into chunks of at most so many entries and layers, the first the largest.
 
     All chunks but the last have a multiple of four layers, and four layers may need more than that. Where ``whole``,
-    the taps are whole parts (`whole_light.whole_taps`).
+    the taps are whole parts (`integer_light.whole_taps`).
     """
     found: list[Chunk] = []
     first = 0

@@ -36,7 +36,7 @@ import numpy as np
 from chromaperture.matching.device.shader_text import shader
 from chromaperture.matching.result import Pending
 from chromaperture.system.errors import InputError, MissingDependencyError, OutOfMemoryError
-from chromaperture.system.threads import begun
+from chromaperture.system.threads import submit
 
 GROUP = 64  # invocations of a workgroup of the stages that have one for every pixel
 MOST_GROUPS = 65_535  # workgroups along an axis of a dispatch: WebGPU's default limit
@@ -141,7 +141,7 @@ class Device:
                 return self.handle.create_compute_pipeline(layout="auto", compute=compute)
 
         if source not in self.pipelines:
-            self.pipelines[source] = begun(made)  # a driver took 5 s for 122: docs/gpu.md
+            self.pipelines[source] = submit(made)  # a driver took 5 s for 122: docs/gpu.md
         return self.pipelines[source]
 
 

@@ -115,7 +115,7 @@ class DeviceMethod(Method):
         return Pending(result)
 
     @property
-    def works_ahead(self) -> bool:
+    def can_pipeline(self) -> bool:
         """Whether `start` computes a photograph while the one before is read back."""
         return True
 

@@ -11,6 +11,7 @@ import numpy as np
 from chromaperture.color.image import DARK, SATURATION
 from chromaperture.matching.device.device import Array, Chain
 from chromaperture.matching.error_bar import LIGHT_WINDOW_PX
+from chromaperture.matching.integer_light import LEAST_EXPONENT, LIGHT_BITS, MOVE_PARTS, halved_moves, smoothing_taps
 from chromaperture.matching.readable.upsample import JUMP_PX, LEAST_WEIGHT
 from chromaperture.matching.views import (
     CONSTANT,
@@ -23,7 +24,6 @@ from chromaperture.matching.views import (
     no_usable_pixel,
     percentile_spacing,
 )
-from chromaperture.matching.whole_light import LEAST_EXPONENT, LIGHT_BITS, MOVE_PARTS, halved_moves, smoothing_taps
 from chromaperture.settings.stages import ViewsConfig
 
 _PARTS = 256  # most workgroups that sum a picture up; one workgroup sums their sums

@@ -56,7 +56,7 @@ fn main(local) {
         stats[MEAN_ALL] = (mean.x + mean.y + mean.z) / 3.0;
         stats[USABLE] = total.w;
         stats[UNUSABLE] = f32(pixels) - total.w;
-        // The power of two that is 2^-light_bits to half of it of the mean light (`whole_light.light_unit`).
+        // The power of two that is 2^-light_bits to half of it of the mean light (`integer_light.light_unit`).
         let light = dot(vec3f(guide_rgb[0], guide_rgb[1], guide_rgb[2]), mean);
         let exponent = select(least_exponent, i32(bitcast<u32>(light) >> 23u) - 127i, light > 0.0);
         let place = u32(max(exponent, least_exponent) - i32(light_bits) + 127i);
@@ -292,7 +292,7 @@ fn main(i) {
 
 // ---- moved_views: indexing, shared
 // Views sampled where the lens shows them, between four pixels each, in whole units of light: weights are whole parts, so
-// that sums are exact. See `matching/whole_light.py`.
+// that sums are exact. See `matching/integer_light.py`.
 
 in planes: array<f32>;  // (at least K, h, w)
 in moves: array<u32>;  // (K, h, w): parts of a px along x and y, 16 bits each

@@ -132,7 +132,7 @@ class BlurEvidence:
 
     def known_variance(self, image: np.ndarray, noise_variance: np.ndarray | None = None) -> np.ndarray | None:
         """Return the variance of an image's noise, (H, W, 3), as given or computed; None where it is not known."""
-        return self.noise.given_or_computed(image, noise_variance) if self.noise.is_known else None
+        return self.noise.variance_of(image, noise_variance) if self.noise.is_known else None
 
     def _correlations(
         self,

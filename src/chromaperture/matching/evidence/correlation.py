@@ -38,7 +38,7 @@ class CorrelationEvidence:
         noise_variance: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return nats a pixel; (H, W, N) float32."""
-        variance = self.noise.given_or_computed(image, noise_variance)
+        variance = self.noise.variance_of(image, noise_variance)
         likelihood = np.zeros((*image.shape[:2], len(labels_px)), np.float32)
         for space, label_map in zip(self.spaces, self.label_maps, strict=True):
             views = filtered_views(image, space, config=self.views, noise_variance=variance)

@@ -126,7 +126,7 @@ class SpectralEvidence:
         config, run = self.config, self.pairs.run
         model = self.model(layers_px)
         windows = model.windows
-        noise = self.noise_of_windows(self.noise.given_or_computed(image, noise_variance), rows, columns)
+        noise = self.noise_of_windows(self.noise.variance_of(image, noise_variance), rows, columns)
         image = np.where(np.isfinite(image), image, np.float32(0))
         if config.dual_pixel:
             image = of_equal_light(image)

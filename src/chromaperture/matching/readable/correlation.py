@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from chromaperture.matching.integer_light import plane_variance, whole_taps
 from chromaperture.matching.views import ViewNoise, Views, view_pairs
-from chromaperture.matching.whole_light import plane_variance, whole_taps
 from chromaperture.settings.stages import SAMPLED_PX2, CorrelationConfig
 
 Taps = Callable[[float], tuple[float, float, float, float]]
@@ -88,7 +88,7 @@ def cells_of(maps: np.ndarray) -> np.ndarray:
 def _cell_scores(views: Views, layers_px: np.ndarray, config: CorrelationConfig) -> np.ndarray:
     """Score cells: cell (x, y) is the 5 x 5 px about pixel (2 x, 2 y), weighted by `CELL_TAPS` both ways.
 
-    In whole units of light, in which sums are exact (`whole_light.py`); scores are rounded to 1 / `SCORE_PARTS`. All
+    In whole units of light, in which sums are exact (`integer_light.py`); scores are rounded to 1 / `SCORE_PARTS`. All
     executions take the same steps in 32 bits.
     """
     height, width, view_count = views.pictures.shape

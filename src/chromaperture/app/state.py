@@ -26,7 +26,7 @@ import numpy as np
 from chromaperture.app.device_plan import MOST_PX, make_plan, make_points
 from chromaperture.app.free_space import RESERVE_BYTES, require_space
 from chromaperture.app.gate import save_body
-from chromaperture.app.messages import heard
+from chromaperture.app.messages import collect_warnings
 from chromaperture.app.session_folder import Holding
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
@@ -66,7 +66,7 @@ class Photo:
     sharp: dict[str, SharpPicture] = field(default_factory=dict)
 
 
-class Workbench:
+class AppState:
     """Cameras and photographs of one app.
 
     The folder keeps ``cameras/``, ``sessions/`` and ``photos/``; the page begins with ``camera``, a file; so many bytes
@@ -184,14 +184,14 @@ class Workbench:
         eye = self.eye(camera, quality)
         counts = np.frombuffer(data, np.uint8).reshape(height, width, 3)
         encoding = eye.calibration.sensor.encoding if eye.calibration.is_calibrated else None
-        with heard() as notes:
+        with collect_warnings() as notes:
             frame = eye.measure(linearise(Decoded(counts), camera_encoding=encoding))
         return frame, notes()
 
     def measure_photo(self, path: Path, *, camera: str, quality: str) -> tuple[str, Photo]:
         """Measure a photograph's file and keep the result for a while; returns its key; raises InputError."""
         eye = self.eye(camera, quality)
-        with heard() as notes:
+        with collect_warnings() as notes:
             measured = measure_only(path, eye, out=self.folder / "photos")
         photo = Photo(measured, eye.at_size(*measured.frame.disparity_px.shape[::-1]), notes(), path.read_bytes())
         key = secrets.token_urlsafe(9)

@@ -11,9 +11,7 @@ from hypothesis import strategies as st
 
 from chromaperture.matching import compiled as cpu
 from chromaperture.matching.estimate import method_for
-from chromaperture.matching.readable.correlation import SAMPLING, _CellWindow
-from chromaperture.matching.views import halved_views, smooth
-from chromaperture.matching.whole_light import (
+from chromaperture.matching.integer_light import (
     LEAST_EXPONENT,
     LIGHT_BITS,
     TAP_PARTS,
@@ -23,6 +21,8 @@ from chromaperture.matching.whole_light import (
     smoothing_taps,
     whole_taps,
 )
+from chromaperture.matching.readable.correlation import SAMPLING, _CellWindow
+from chromaperture.matching.views import halved_views, smooth
 from chromaperture.settings.methods import RealTimeConfig
 from worlds import wavy_capture
 

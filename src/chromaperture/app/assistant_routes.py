@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 from chromaperture.app.assistant import check_shot, shown_check, state
-from chromaperture.app.camera_feed import CameraAnswers, write_frame
+from chromaperture.app.camera_feed import CameraRoutes, write_frame
 from chromaperture.app.free_space import require_space
 from chromaperture.app.messages import File, number, whole
 from chromaperture.app.session_folder import Holding, Kind, SessionFolder
-from chromaperture.app.workbench import NAME, Workbench
+from chromaperture.app.state import NAME, AppState
 from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.evaluation.report import write_report
@@ -26,7 +26,7 @@ from chromaperture.system.errors import ChromapertureError, InputError, lacks_me
 from chromaperture.system.validation import checked
 
 if TYPE_CHECKING:
-    from chromaperture.app.server import Desk
+    from chromaperture.app.server import WorkQueue
 
 _MOST_SESSIONS = 200  # chosen by hand
 _KINDS = get_args(Kind)
@@ -127,11 +127,11 @@ class CalibrationJob:
                 self.error = f"the calibration failed ({type(error).__name__}: {error}); please report this"
 
 
-class AssistantAnswers:
+class AssistantRoutes:
     """The answer to each address of the assistant."""
 
-    def __init__(self, workbench: Workbench, desk: Desk, cameras: CameraAnswers | None = None) -> None:
-        self.workbench, self.desk, self.cameras = workbench, desk, cameras or CameraAnswers()
+    def __init__(self, app_state: AppState, queue: WorkQueue, cameras: CameraRoutes | None = None) -> None:
+        self.app_state, self.queue, self.cameras = app_state, queue, cameras or CameraRoutes()
         self.jobs: dict[str, CalibrationJob] = {}
 
     def table(self) -> list[tuple[str, str, Any]]:
@@ -153,7 +153,7 @@ class AssistantAnswers:
         """Return a session's folder; raises InputError for a name that could lead elsewhere."""
         if not NAME.fullmatch(name):
             raise InputError("a session's name has letters, digits, - and _ only, 60 at most")
-        return self.workbench.folder / "sessions" / name
+        return self.app_state.folder / "sessions" / name
 
     def is_calibrating(self) -> bool:
         """Whether a calibration runs."""
@@ -164,7 +164,7 @@ class AssistantAnswers:
         return await asyncio.to_thread(self._names)
 
     def _names(self) -> list[str]:
-        folders = (self.workbench.folder / "sessions").iterdir()
+        folders = (self.app_state.folder / "sessions").iterdir()
         return sorted(p.name for p in folders if NAME.fullmatch(p.name) and (p / "assistant.json").is_file())
 
     async def create(self, request: Any) -> Any:
@@ -173,14 +173,14 @@ class AssistantAnswers:
         folder = self.folder(str(asked.get("name", "")))
         if len(self._names()) >= _MOST_SESSIONS:
             raise InputError(f"there are {_MOST_SESSIONS} sessions already; remove some from {folder.parent}")
-        require_space(folder, 0, self.workbench.reserve_bytes)
-        made = await self.desk.run(partial(SessionFolder.create, folder, asked.get("facts")))
-        return await self.desk.run(partial(state, made))
+        require_space(folder, 0, self.app_state.reserve_bytes)
+        made = await self.queue.run(partial(SessionFolder.create, folder, asked.get("facts")))
+        return await self.queue.run(partial(state, made))
 
     async def session(self, request: Any) -> Any:
         """Return the state of a session."""
         folder = self.folder(request.path_params["name"])
-        return await self.desk.run(lambda: state(_opened(folder)))
+        return await self.queue.run(lambda: state(_opened(folder)))
 
     async def shot(self, request: Any) -> Any:
         """Check a photograph; keep it where the page asks for that and no check warns, or it insists."""
@@ -199,7 +199,7 @@ class AssistantAnswers:
             frame = await asyncio.to_thread(self.cameras.feed(asked["source"]).shown_frame)
             taken_us = frame.metadata.get("exposure_us")
             exposure = exposure or (float(taken_us) / 1000 if taken_us else None)
-        async with self.workbench.upload(request, asked.get("name", "photo.png"), is_sent=frame is None) as path:
+        async with self.app_state.upload(request, asked.get("name", "photo.png"), is_sent=frame is None) as path:
 
             def work() -> dict[str, Any]:
                 session = _opened(folder)
@@ -222,7 +222,7 @@ class AssistantAnswers:
                     "state": state(session),
                 }  # fmt: skip
 
-            return await self.desk.run(work)
+            return await self.queue.run(work)
 
     async def remove(self, request: Any) -> Any:
         """Delete a kept photograph."""
@@ -234,7 +234,7 @@ class AssistantAnswers:
             session.remove(file)
             return state(session)
 
-        return await self.desk.run(work)
+        return await self.queue.run(work)
 
     async def calibrate(self, request: Any) -> Any:
         """Start the calibration."""
@@ -242,8 +242,8 @@ class AssistantAnswers:
         session = _opened(folder)
         if self.is_calibrating():
             raise InputError("a calibration is running already; wait for it, or stop it")
-        require_space(folder, 0, self.workbench.reserve_bytes)
-        cameras = self.workbench.folder / "cameras"
+        require_space(folder, 0, self.app_state.reserve_bytes)
+        cameras = self.app_state.folder / "cameras"
         job = CalibrationJob(
             folder, cameras / f"{folder.name}.asdf", cameras / f"{folder.name}.report.html",
             lens_blur=request.query_params.get("lens_blur", "1") != "0", holding=session.holding,
@@ -264,7 +264,7 @@ class AssistantAnswers:
 
     async def report(self, request: Any) -> Any:
         """Return the report of the last calibration."""
-        path = self.workbench.folder / "cameras" / f"{self.folder(request.path_params['name']).name}.report.html"
+        path = self.app_state.folder / "cameras" / f"{self.folder(request.path_params['name']).name}.report.html"
         if not path.is_file():
             raise InputError("there is no report yet; calibrate first")
         return File(await asyncio.to_thread(path.read_bytes), "text/html", {"Content-Security-Policy": _REPORT})
