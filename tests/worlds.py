@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -324,6 +326,16 @@ def stored(folder: Path) -> dict[str, bytes]:
 # ---- files that should be the same
 
 PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def png_of(width: int, height: int, data: bytes = zlib.compress(bytes(9)), *, bits: int = 8) -> bytes:
+    """A colour PNG that declares a size, whatever its data hold."""
+
+    def chunk(kind, body):
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    header = struct.pack(">IIBBBBB", width, height, bits, 2, 0, 0, 0)
+    return PNG + chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
 
 
 def content(path: Path) -> bytes:

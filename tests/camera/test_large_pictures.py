@@ -122,11 +122,12 @@ def test_a_portrait_by_exif_is_read_as_the_sensor_recorded_it(tmp_path, orientat
     pixels = np.random.default_rng(1).integers(0, 255, (32, 48, 3), dtype=np.uint8)
     exif = Image.Exif()
     exif[0x0112] = orientation
-    Image.fromarray(pixels).save(tmp_path / "plain.png")
-    Image.fromarray(pixels).save(tmp_path / "portrait.png", exif=exif)
-    Image.fromarray(pixels).save(tmp_path / "portrait.tif", exif=exif)
-    for name in ("portrait.png", "portrait.tif"):
-        np.testing.assert_array_equal(read_image(tmp_path / name), read_image(tmp_path / "plain.png"))
+    for suffix in ("png", "tif", "jpg"):
+        options = {"quality": 95, "subsampling": 0} if suffix == "jpg" else {}
+        Image.fromarray(pixels).save(tmp_path / f"plain.{suffix}", **options)
+        Image.fromarray(pixels).save(tmp_path / f"portrait.{suffix}", exif=exif, **options)
+        found, plain = (read_image(tmp_path / f"{name}.{suffix}") for name in ("portrait", "plain"))
+        np.testing.assert_array_equal(found, plain)
 
 
 def test_a_picture_beyond_the_memory_is_refused_before_it_is_read(full, tmp_path, monkeypatch):
