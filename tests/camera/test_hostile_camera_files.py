@@ -8,7 +8,6 @@ import sys
 import threading
 import zlib
 
-import numpy as np
 import pytest
 
 from chromaperture.model.camera_file import Calibration
@@ -209,10 +208,3 @@ def test_what_is_no_file_is_refused(tmp_path):
             Calibration.load(path)
     with pytest.raises(InputError, match="no camera file"):
         Calibration.load(tmp_path / ("n" * 5000))
-
-
-def test_maps_come_back_bit_by_bit(good):
-    written, read = make_calibration("free"), Calibration.load(good)
-    for quality, field in written.depth.items():
-        for name in ("infinity_disparity_px", "scale_px_mm"):
-            np.testing.assert_array_equal(getattr(read.depth[quality].local, name), getattr(field.local, name))

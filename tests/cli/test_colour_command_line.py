@@ -5,6 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from chromaperture.capture.files import read_image
 from worlds import capture, texture
@@ -52,27 +53,6 @@ def test_clipped_highlights_stay_bright_and_colourless(run, tmp_path, photograph
     assert light.min() > 0.5  # 0.88 is found; it was clipped at 1
 
 
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (lambda p: 2e-4 * p, "all black"),
-        (lambda p: np.concatenate([p[:2], np.ones_like(p[2:])]), "saturated"),
-        (lambda p: p[:5, :5], "smaller"),
-    ],
-)
-def test_refocus_refuses_what_is_no_photograph(run, tmp_path, photograph, spoil, message):
-    photo = write(tmp_path / "photo.png", spoil(photograph))
-    refused(run("refocus", photo, *QUICK), message, tmp_path, ["photo.png"])
-
-
-def test_a_photograph_of_another_camera_is_refused(run, tmp_path, photograph):
-    from chromaperture.products.samples import sample_camera
-
-    photo = write(tmp_path / "photo.png", photograph)
-    camera = sample_camera("still_life_cy_halves")
-    refused(run("refocus", photo, "--camera", camera), "720x480", tmp_path, ["photo.png"])
-
-
 @pytest.fixture
 def sheets(tmp_path):
     """White paper without and with the aperture, and a way to spoil one of them; 10-bit counts."""
@@ -99,15 +79,25 @@ def lit_from_the_side(sheet):
     return sheet * np.linspace(0.6, 1, 160)[None, :, None]
 
 
-def test_dust_and_a_gradient_of_light_do_not_matter(run, sheets):
+def test_dust_and_a_gradient_of_light_do_not_matter(run, sheets, tmp_path):
     bare = sheets("bare", 1.0, lit_from_the_side)
     coded = sheets("coded", SHARE, lambda p: dusty(lit_from_the_side(p)))
-    result = run("transparency", coded, "--bare", bare, *LEVELS, "--json")
+    command = ("transparency", coded, "--bare", bare, *LEVELS)
+    result = run(*command, "--json", "--figure", tmp_path / "figure.png")
     assert result.returncode == 0, result.stderr
     (row,) = json.loads(result.stdout)
     # The speck is 80 of 19 200 px, and left out but for its rim.
     assert row["efficiency"] == pytest.approx(SHARE.mean(), abs=5e-3)
     assert row["minimum_rgb"] == pytest.approx(SHARE, abs=0.03)
+    loss = np.mean(-10 * np.log10(SHARE))  # photon noise
+    assert row["snr_loss_central_db"] == pytest.approx(loss, abs=0.25)
+    assert row["exposure_shot_noise"] == pytest.approx(row["exposure_amplitude"] ** 2)
+    with Image.open(tmp_path / "figure.png") as figure:
+        assert min(figure.size) > 300
+    assert "Transparency" in run(*command).stdout
+    assert run(*command, "-q").stdout == ""
+    for wrong in (("--exposure", 0), ("--figure", "f.gif")):
+        assert run(*command, *wrong).returncode == 2
 
 
 def test_light_on_one_sheet_only_is_told_from_the_aperture_s_own(run, sheets, tmp_path):
@@ -131,8 +121,3 @@ def test_sheets_that_cannot_be_compared_are_refused(run, sheets, tmp_path, spoil
     bare, coded = sheets("bare", 1.0, spoil), sheets("coded", SHARE)
     result = run("transparency", coded, "--bare", bare, *LEVELS, "--figure", tmp_path / "f.png")
     refused(result, message, tmp_path, ["bare.png", "coded.png"])
-
-
-def test_a_missing_sheet_is_named(run, sheets, tmp_path):
-    result = run("transparency", sheets("coded", SHARE), "--bare", tmp_path / "none.png", *LEVELS)
-    refused(result, "none.png", tmp_path, ["coded.png"])
