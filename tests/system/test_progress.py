@@ -17,8 +17,6 @@ from chromaperture.camera.camera import load_camera
 from chromaperture.cli import console
 from chromaperture.cli.main import main
 from chromaperture.products.samples import SAMPLES, sample_camera
-from chromaperture_paper import quality
-from chromaperture_paper.context import Context
 
 PATIENCE_S = 30.0  # for a line that comes after a hundredth of a second on a machine that does nothing else
 
@@ -160,17 +158,6 @@ def test_simulate_counts_its_photographs_on_standard_error(soon, tmp_path, monke
     assert [done for _, done, _ in counted] == list(range(written + 1))
     assert counted[-1][2] == written
     assert ".png" not in capfd.readouterr().out
-
-
-def test_evaluate_quality_counts_walls_and_calibrates_aloud(session, tmp_path):
-    said = []
-    context = Context(tmp_path, data=session, quick=True)
-    context.progress = lambda *state: said.append(state)
-    quality.quality(context)
-    walls = [state for state in said if "wall at" in state[0]]
-    assert [done for _, done, _ in walls] == list(range(len(walls)))
-    assert {total for *_, total in walls} == {len(walls)}  # so that the remaining time is known
-    assert any(what == "board disparity" for what, *_ in said)
 
 
 def test_quality_accurate_estimates_its_time_for_the_size(capfd):
