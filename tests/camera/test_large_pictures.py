@@ -67,14 +67,10 @@ def test_at_a_working_scale_the_answer_is_that_of_the_small_camera(full, photogr
     assert np.nanmedian(frame.disparity_px) == pytest.approx(SCALE * np.nanmedian(there.disparity_px), rel=0.01)
 
 
-def test_depth_at_a_working_scale_is_true(full, photograph):
+def test_depth_at_a_working_scale_is_true_and_colour_is_aligned_at_every_pixel(full, photograph):
     frame = CodedApertureCamera(full, default_config(full, "real-time", scale=SCALE)).measure(photograph)
     # The matcher places flat boards of ideal texture to 0.02 working px, here 2 mm; 1 % allows the texture's own.
     assert np.nanmedian(frame.depth_mm) == pytest.approx(DEPTH_MM, rel=0.01)
-
-
-def test_colour_is_aligned_at_every_pixel(full, photograph):
-    frame = CodedApertureCamera(full, default_config(full, "real-time", scale=SCALE)).measure(photograph)
     inside = np.s_[64:-64, 64:-64]
     before, after = (np.abs(p[..., 0] - p[..., 2])[inside].mean() for p in (photograph, frame.color))
     assert after < 0.1 * before  # the wall is grey
