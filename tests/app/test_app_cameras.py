@@ -160,22 +160,29 @@ def test_names_do_not_tell_folders(tmp_path):
 # ---- photographs of them
 
 
+UNSTATED = {name: value for name, value in FACTS.items() if "level" not in name}
+OFFSETS = ((0.25, 0.25), (0, 0), (-0.25, -0.25))
+
+
 def frame_of(light, encoding, dtype=np.uint16):
     counts = encoding.black_level + light * (encoding.white_level - encoding.black_level)
     return Frame(counts.astype(dtype) if dtype is np.float32 else np.rint(counts).astype(dtype), encoding, 0.0, 0)
 
 
 @pytest.mark.parametrize(
-    ("encoding", "dtype", "levels", "tolerance"),
+    ("encoding", "dtype", "facts", "levels", "tolerance"),
     [
-        (Encoding(64, 1023), np.uint16, (64, 1023), 1e-6),  # counts stay as they are
-        (Encoding(0.0, 1.0), np.float32, (2048, 63488), 1e-5),  # of floats, wide levels: a step is 1.6e-5
-        (Encoding(128, 2046, channel_offsets_px=((0.25, 0.25), (0, 0), (-0.25, -0.25))), np.uint16, (64, 1023), 6e-4),
+        (Encoding(64, 1023), np.uint16, UNSTATED, (64, 1023), 1e-6),  # counts stay as they are
+        (Encoding(0.0, 1.0), np.float32, UNSTATED, (2048, 63488), 1e-5),  # of floats, wide levels: a step is 1.6e-5
+        (Encoding(128, 2046, channel_offsets_px=OFFSETS), np.uint16, UNSTATED, (64, 1023), 6e-4),
+        (Encoding(0, 65535), np.uint16, FACTS, (16, 1016), 6e-4),  # half a count
     ],
-    ids=["counts", "float", "superpixels"],
+    ids=["counts", "float", "superpixels", "stated"],
 )
-def test_a_linear_frame_is_kept_with_its_levels(tmp_path, rng, encoding, dtype, levels, tolerance):
-    session = SessionFolder.create(tmp_path / "bench", {k: v for k, v in FACTS.items() if "level" not in k})
+def test_a_linear_frame_is_kept_with_its_levels_or_those_of_the_session(
+    tmp_path, rng, encoding, dtype, facts, levels, tolerance
+):
+    session = SessionFolder.create(tmp_path / "bench", facts)
     light = cv2.GaussianBlur(rng.uniform(0.1, 0.9, (20, 30, 3)).astype(np.float32), (0, 0), 3)
     frame, path = frame_of(light, encoding, dtype), tmp_path / "shot.png"
     write_frame(frame, path, session)
@@ -185,21 +192,12 @@ def test_a_linear_frame_is_kept_with_its_levels(tmp_path, rng, encoding, dtype, 
 
 
 def test_a_frame_of_a_webcam_stays_of_8_bits(tmp_path, rng):
-    session = SessionFolder.create(tmp_path / "bench", {k: v for k, v in FACTS.items() if "level" not in k})
+    session = SessionFolder.create(tmp_path / "bench", UNSTATED)
     counts = rng.integers(0, 255, (20, 30, 3), np.uint8)
     path = tmp_path / "shot.png"
     write_frame(Frame(counts, Encoding(0, 255, "srgb", given=False), 0.0, 0), path, session)
     np.testing.assert_array_equal(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[..., ::-1], counts)
     assert session.facts.white_level is None
-
-
-def test_a_frame_is_stored_with_the_levels_that_the_session_states(tmp_path, rng):
-    session = SessionFolder.create(tmp_path / "bench", FACTS)  # 16 to 1016
-    light = rng.uniform(0.1, 0.9, (20, 30, 3)).astype(np.float32)
-    path = tmp_path / "shot.png"
-    write_frame(frame_of(light, Encoding(0, 65535)), path, session)
-    np.testing.assert_allclose(read_image(path, black_level=16, white_level=1016), light, atol=6e-4)  # half a count
-    assert session.facts.white_level == 1016
 
 
 def test_the_preview_is_as_exposed_and_small():

@@ -198,30 +198,22 @@ def test_a_photograph_is_measured_here_and_focused_by_the_computer(page_at, smal
     mode(page, "Measured on this device")  # only its focus is the computer's
 
 
-def test_points_are_those_that_the_command_line_writes(page_at, small, tmp_path):
-    page = page_at(DESKTOP)
-    open_photo(page, save_png(tmp_path / "p.png", small[1]))
-    counts = {}
-    for where in ("device", "computer"):
+def test_points_are_those_that_the_command_line_writes_and_turned_by_a_finger(page_at, small, tmp_path):
+    page, path, counts = page_at(), save_png(tmp_path / "p.png", small[1]), {}
+    for where in ("computer", "device"):
         page.select_option("#where", where)
-        open_photo(page, str(tmp_path / "p.png"))
+        open_photo(page, path)
         mode(page, "Measured on this device" if where == "device" else "Measured by the computer")
         page.locator("#photo-viewer [data-view=points]").click()
         page.wait_for_selector("#photo-viewer .turned canvas[aria-label*=points]")
         page.wait_for_timeout(1500)
         counts[where] = int(page.get_attribute("#photo-viewer .turned canvas", "aria-label").split()[0])
-        page.locator("#photo-viewer [data-view=depth]").click()
+        if where == "computer":
+            page.locator("#photo-viewer [data-view=depth]").click()
     frame = small[2].measure(light_of_counts(small[2].calibration)[0][small[1]])
     written = np.isfinite(within_error(frame.depth_mm, frame.sigma_mm)).sum()
     assert counts["device"] == pytest.approx(written, rel=0.01)
     assert counts["computer"] == pytest.approx(written, rel=0.03)  # by Numba, which rounds scores to 16 bits
-
-
-def test_points_are_turned_by_a_finger(page_at, small, tmp_path):
-    page = page_at(PHONE)
-    open_photo(page, save_png(tmp_path / "p.png", small[1]))
-    page.locator("#photo-viewer [data-view=points]").click()
-    page.wait_for_selector("#photo-viewer .turned canvas[aria-label*=points]")
     canvas = page.locator("#photo-viewer .turned canvas")
 
     def shot():

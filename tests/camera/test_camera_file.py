@@ -98,16 +98,6 @@ def test_the_focus_is_called_infinity_from_100_m_on(infinity_px, text):
     assert calibration.in_focus_text == text
 
 
-@pytest.mark.parametrize("name", SAMPLES)
-def test_bundled_cameras_are_sound(name):
-    calibration = Calibration.load(sample_camera(name))
-    summary = calibration.summary()
-    # The lens the captures were traced through: 50.34 mm, pupil 49.5 mm before the sensor, focused near 2 m.
-    assert summary["focal_length_mm"] == pytest.approx(50.34, rel=0.01)
-    assert summary["sensor_to_pupil_mm"] == pytest.approx(49.5, abs=5)
-    assert summary["in_focus_mm"] == pytest.approx(2000, abs=80)
-
-
 # Curves in the middle of the frame as the release of that file read them: A px, B px mm, their standard deviations, and
 # the range px and the sum of the coefficients px of the nonlinearity.
 OLD_CURVES = {

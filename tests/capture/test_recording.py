@@ -339,16 +339,6 @@ def test_a_line_says_what_it_always_said(tmp_path):
     assert json.loads((tmp_path / "recording.json").read_text())["format"] == "chromaperture recording 3"
 
 
-def test_a_recorded_sequence_is_exported_as_bright_as_its_pictures(run, tmp_path):
-    image, camera = sample_image("still_life_cy_halves"), sample_camera("still_life_cy_halves")
-    assert run("record", image, "--out", tmp_path / "walk", "-q")[0] == 0
-    for source, out in ((image, "direct"), (f"replay:{tmp_path / 'walk'}", "replayed")):
-        code, _, complaint = run("export", source, tmp_path / out, "--camera", camera, "-q")
-        assert (code, complaint) == (0, "")
-    direct, again = (cv2.imread(str(tmp_path / out / "rgb" / "0.000000.png")) for out in ("direct", "replayed"))
-    np.testing.assert_array_equal(again, direct)
-
-
 def test_a_black_frame_in_the_midst_is_left_out_of_an_export(run, tmp_path):
     camera = sample_camera("still_life_cy_halves")
     (tmp_path / "frames").mkdir()

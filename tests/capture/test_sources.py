@@ -220,25 +220,6 @@ def test_a_slow_reader_gets_the_newest_frame_and_the_rest_is_counted():
     assert camera.closed
 
 
-def test_an_unplugged_camera_is_found_again():
-    events, cameras = [], [Camera(lasts=3), None, None, Camera(lasts=10**6)]
-
-    def connect():
-        camera = cameras.pop(0)
-        if camera is None:
-            raise InputError("not there")
-        return camera
-
-    first = cameras[0]
-    with LiveSource("test", connect, listener=events.append, retry_s=0.01) as source:
-        for frame in source:
-            if len(events) == 2 and frame.index > 5:
-                break
-    assert [e.kind for e in events] == ["lost", "reconnected"]
-    assert first.closed
-    assert cameras == []
-
-
 def test_a_silent_camera_counts_as_lost():
     class Silent(Camera):
         def read(self, index):

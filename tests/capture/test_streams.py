@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import socket
 import struct
 import threading
 import time
@@ -12,6 +11,7 @@ import time
 import numpy as np
 import pytest
 
+from apps import free_port
 from chromaperture.products.foxglove_stream import FoxgloveStream, address
 from chromaperture.products.mcap import write_mcap
 from chromaperture.products.rectified import View, encoded_depth
@@ -167,9 +167,7 @@ def test_a_client_of_the_protocol_receives_what_was_sent():
 def test_the_live_command_streams_what_it_measures(run, tmp_path):
     image, camera = sample_image(SAMPLE), sample_camera(SAMPLE)
     assert run("record", image, "--out", tmp_path / "walk", "-q").returncode == 0
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     found = {}
 
     def client():

@@ -153,11 +153,6 @@ def bad_inputs(folder):
         "all black": (["depth", here("black.png"), *with_camera], "black"),
         "saturated": (["depth", here("white.png"), *with_camera], "is saturated"),
         "not a number": (["depth", here("nan.tif"), *with_camera], "finite"),
-        "other aspect": (["depth", here("small.png"), *with_camera], "360x360 px .* of its aspect"),
-        "rotated": (
-            ["depth", here("portrait.png"), *with_camera],
-            "480x720 px .* 720x480; it looks rotated: turn it back",
-        ),
         "unknown design": (["depth", image, "--design", "cy_thirds", "--out", here("out")], "cy_halves"),
         "design without parallax": (["depth", image, "--design", "open", "--out", here("out")], "shifts no channel"),
         "neither camera nor design": (["depth", image, "--out", here("out")], "--camera"),
@@ -464,3 +459,30 @@ def test_light_is_rounded_once(run):
     printed = run("apertures", "cy_open", "--at-mm", "2000").stdout
     assert f"{100 * light:.1f}" == "86.9"  # 86.947 %; rounded to 0.8695 before it would be 87.0
     assert " 86.9 " in printed
+
+
+def test_transparency_prints_the_tables(run, tmp_path):
+    rng = np.random.default_rng(8)
+    full, share = 0.8, np.array([0.5, 0.75, 0.375])
+    for name, light in (("bare", np.full(3, full)), ("coded", full * share)):
+        counts = rng.poisson(light * 20000, (120, 160, 3)) / 20000 * 1000 + 16
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.rint(counts[..., ::-1]).astype(np.uint16))
+    levels = ("--black-level", 16, "--white-level", 1016)
+    bare, coded = tmp_path / "bare.png", tmp_path / "coded.png"
+    result = run("transparency", coded, "--bare", bare, *levels, "--json", "--figure", tmp_path / "figure.png")
+    assert result.returncode == 0, result.stderr
+    (row,) = json.loads(result.stdout)
+    # Means over 19 200 px of 1 % noise
+    assert row["efficiency"] == pytest.approx(share.mean(), abs=2e-3)
+    loss = np.mean(-10 * np.log10(share))  # photon noise
+    assert row["snr_loss_central_db"] == pytest.approx(loss, abs=0.25)
+    assert row["exposure_shot_noise"] == pytest.approx(row["exposure_amplitude"] ** 2)
+    with Image.open(tmp_path / "figure.png") as figure:
+        assert min(figure.size) > 300
+    assert "Transparency" in run("transparency", coded, "--bare", bare, *levels).stdout
+    assert run("transparency", coded, "--bare", bare, *levels, "-q").stdout == ""
+    swapped = run("transparency", bare, "--bare", coded, *levels)
+    assert swapped.returncode == 2
+    assert "exposure" in swapped.stderr
+    assert run("transparency", coded, "--bare", bare, *levels, "--exposure", 0).returncode == 2
+    assert run("transparency", coded, "--bare", bare, *levels, "--figure", "f.gif").returncode == 2

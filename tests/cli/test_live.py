@@ -167,15 +167,21 @@ def test_the_film_of_a_live_view_is_checked(run, tmp_path):
         assert ("was not taken through this camera's film" in result.stderr) == doubts
 
 
-def test_a_device_begins_a_frame_while_the_cpu_finishes_the_one_before():
-    eye, source = Device(), Numbered(frames=30, shape=(4, 6))
+def seen_of(eye: Device, frames: int) -> tuple[list[int], LiveLoop]:
+    """Numbers of the frames that come out of a loop into which so many go."""
+    source, seen = Numbered(frames=frames, shape=(4, 6)), []
     source.live = False
-    seen = []
-    loop = LiveLoop(source, eye, track=False)
+    loop = LiveLoop(source, eye, track=False, listener=lambda line: None)
     loop.to_stream = Slot()
     with loop:
         while (item := loop.to_stream.take()) is not None:
             seen.append(item.frame.index)
+    return seen, loop
+
+
+def test_a_device_begins_a_frame_while_the_cpu_finishes_the_one_before():
+    eye = Device()
+    seen, _ = seen_of(eye, 30)
     assert seen == list(range(30))
     for what in ("begin", "read", "complete"):
         assert [number for name, number in eye.calls if name == what] == list(range(30))
@@ -185,14 +191,9 @@ def test_a_device_begins_a_frame_while_the_cpu_finishes_the_one_before():
 
 
 def test_a_frame_that_a_device_refuses_costs_no_other():
-    eye, source, said = Device(), Numbered(frames=12, shape=(4, 6)), []
-    source.live = False
+    eye = Device()
     eye.refused = {3: "begin", 7: "complete"}
-    loop = LiveLoop(source, eye, track=False, listener=said.append)
-    loop.to_stream, seen = Slot(), []
-    with loop:
-        while (item := loop.to_stream.take()) is not None:
-            seen.append(item.frame.index)
+    seen, loop = seen_of(eye, 12)
     assert seen == [n for n in range(12) if n not in (3, 7)]
     assert loop.unused == 2
 

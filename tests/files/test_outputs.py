@@ -91,24 +91,6 @@ def test_json_has_no_nan():
     assert json.loads(text) == {"a": 1.5, "b": [None, None], "c": [0, 1], "d": [True, None]}
 
 
-def test_points_lie_on_their_rays():
-    # A tilted plane n . X = c seen by a pinhole: every point must satisfy the plane's own equation.
-    matrix = np.array([[800.0, 0, 31.5], [0, 810.0, 23.5], [0, 0, 1]])
-    v, u = np.mgrid[:48, :64]
-    rays = np.stack([(u - 31.5) / 800, (v - 23.5) / 810, np.ones_like(u)], -1)
-    normal, offset = np.array([0.2, -0.1, 1.0]), 1500.0
-    z = offset / (rays @ normal)
-    depth = z + 50.0
-    depth[5, 7] = np.nan
-    cloud = depth_to_points(
-        depth, np.full((48, 64, 3), 0.5), camera_matrix=matrix, distortion=np.zeros(5), sensor_to_pupil_mm=50.0
-    )
-    assert len(cloud.points_mm) == 48 * 64 - 1
-    np.testing.assert_allclose(cloud.points_mm @ normal, offset, rtol=1e-6)  # float32 points
-    assert cloud.points_mm[0, 0] < 0  # left
-    assert cloud.points_mm[0, 1] < 0  # up: y is down
-
-
 def test_rays_between_the_grid_of_a_wide_lens():
     # 500 px of focal length, 0.6 of it to the corner: the rays of every pixel by OpenCV's own iteration.
     matrix, distortion = np.array([[500.0, 0, 240], [0, 500.0, 180], [0, 0, 1]]), np.array([-0.1, 0.02, 0.001, 0, 0])

@@ -49,18 +49,6 @@ ALLOWED |= {
 EXECUTIONS = ("chromaperture.matching.compiled", "chromaperture.matching.readable")
 # The rooms whose files share what the readable stages explain, such as tables and what a plane costs.
 SHARING = {"matching", "calibration"}
-# Names of each way to compile and to start threads, and the one module that may use them.
-ONE_WAY = {
-    "njit": "system/compilation.py",
-    "jit": "system/compilation.py",
-    "prange": "system/compilation.py",
-    "vectorize": "system/compilation.py",
-    "ThreadPoolExecutor": "system/threads.py",
-    "ThreadPool": "system/threads.py",
-}
-OPTIONAL = {"open3d", "trimesh", "rawpy", "gi", "gphoto2", "distributed", "fsspec", "mcap", "mcap_ros2",
-            "imageio", "xarray", "OpenEXR", "pxr", "foxglove", "picamera2", "wgpu", "starlette", "uvicorn",
-            "cryptography", "segno"}  # fmt: skip
 # Import name of a distribution, where the two differ.
 IMPORT_NAMES = {"opencv-python-headless": "cv2", "pillow": "PIL", "pyyaml": "yaml"}
 
@@ -141,22 +129,6 @@ def executions_imported(source: str, package: tuple[str, ...]) -> set[str]:
     return {module for module in modules if any(f"{module}.".startswith(f"{e}.") for e in EXECUTIONS)}
 
 
-def names_used(source: str) -> set[str]:
-    used = set()
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Name):
-            used.add(node.id)
-        elif isinstance(node, ast.Attribute):
-            used.add(node.attr)
-        elif isinstance(node, ast.alias):
-            used.add(node.name)
-    return used
-
-
-def other_ways(source: str, file_name: str) -> set[str]:
-    return {name for name in names_used(source) & ONE_WAY.keys() if ONE_WAY[name] != file_name}
-
-
 def test_every_part_has_its_place():
     assert {part_of(where) for where in SOURCES} == set(ALLOWED)
 
@@ -185,15 +157,6 @@ def test_the_readable_stages_compile_nothing():
         if where.startswith("matching/readable/"):
             names = imported(ast.walk(ast.parse(text)), package_of(where))
             assert not [n for n in names if n.startswith(("numba", "llvmlite", "chromaperture.system.comp"))], where
-
-
-def test_there_is_one_way_to_compile_and_one_to_start_threads():
-    wrong = {where: other_ways(text, where) for where, text in SOURCES.items()}
-    assert {where: found for where, found in wrong.items() if found} == {}
-
-
-def test_optional_packages_are_not_in_the_base_install():
-    assert base_packages() & OPTIONAL == set()
 
 
 def test_files_stay_readable_in_one_sitting():
@@ -238,15 +201,3 @@ def test_a_package_outside_the_base_install_is_found(source, found):
 )
 def test_an_imported_execution_is_found(source, found):
     assert executions_imported(source, ("chromaperture", "matching")) == {found}
-
-
-@pytest.mark.parametrize(
-    ("source", "found"),
-    [
-        ("import numba\n@numba.njit(cache=True)\ndef f(): pass", {"njit"}),
-        ("from numba import prange as r", {"prange"}),
-        ("import numba\nprint(numba.__version__)", set()),
-    ],
-)
-def test_another_way_to_compile_or_to_start_threads_is_found(source, found):
-    assert other_ways(source, "volume.py") == found
