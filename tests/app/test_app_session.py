@@ -26,7 +26,7 @@ from chromaperture.system.errors import InputError
 pytestmark = pytest.mark.extra("serve", "starlette")  # runs with the other extras, not in the README's test step
 
 BOARDS_MM = (1000, 1500, 2000, 2500, 3000)
-NEARLY_GREY = np.array([1, 0, 0], np.uint16)  # a picture that is grey to the last count is refused
+GREY = np.array([1, 0, 0], np.uint16)  # nearly: a picture that is grey to the last count is refused
 
 
 def assisted(folder, rendered, *, boards=BOARDS_MM, tilts=5, sheets=True) -> SessionFolder:
