@@ -141,22 +141,19 @@ def test_a_photograph_is_measured_focused_by_a_touch_and_saved(page_at):
         assert np.nanmin(window) - 1 <= depth <= np.nanmax(window) + 1  # rounded to mm
         assert sigma > 0
     page.locator("#photo-viewer [data-view=picture]").click()
-    pictures = []
-    for step in (0, -2):
+    asked = []
+    for step in (0, -2):  # test_app_server.py looks at the pictures
         with page.expect_response(re.compile("refocused")) as answer:
             page.evaluate(
                 "(step) => { const f = document.getElementById('f-number'); f.value = step; "
                 "f.dispatchEvent(new Event('input')); }",
                 step,
             )
+        asked.append(float(re.search(r"f_number=([\d.]+)", answer.value.url)[1]))
         assert answer.value.status == 200
-        with page.expect_response(re.compile(r"refocused.*x=0\.2")) as answer:
-            reading(page, "#photo-viewer", *PLACES[0])
-        png = np.frombuffer(page.request.get(answer.value.url).body(), np.uint8)
-        pictures.append(cv2.imdecode(png, cv2.IMREAD_GRAYSCALE).astype(float))
-    wall = (slice(30, 120), slice(200, 500))
-    detail = [np.abs(np.diff(picture[wall], axis=1)).mean() for picture in pictures]
-    assert detail[1] < 0.8 * detail[0]  # behind the book that was touched, softer with the larger pupil
+    assert asked[1] < asked[0]
+    with page.expect_response(re.compile(r"refocused.*x=0\.2")):
+        reading(page, "#photo-viewer", *PLACES[0])
     with page.expect_download() as download:
         page.click("#photo-save")
     packed = zipfile.ZipFile(io.BytesIO(download.value.path().read_bytes()))
