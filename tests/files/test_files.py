@@ -95,7 +95,7 @@ def test_saturated_pictures_are_not_called_grey(tmp_path, dark):
     assert "grey" not in str(error.value)
 
 
-@pytest.mark.parametrize("keep", [0.0, 0.01, 0.5, 0.98])
+@pytest.mark.parametrize("keep", [0.0, 0.01, 0.5, 0.98, 0.999])
 def test_truncated_png_is_refused(tmp_path, counts, keep):
     data = write_png(tmp_path / "a.png", counts).read_bytes()
     (tmp_path / "b.png").write_bytes(data[: int(keep * len(data))])

@@ -11,7 +11,7 @@ import tifffile
 
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.depth.error_limit import within_error
-from chromaperture.depth.pointcloud import PointCloud, depth_to_points, write_depth_ply, write_ply
+from chromaperture.depth.pointcloud import depth_to_points, write_depth_ply, write_ply
 from chromaperture.files.pictures import write_color_png, write_depth_png, write_float_tiff
 from chromaperture.system.errors import InputError
 from chromaperture.system.storage import staged, to_json
@@ -141,6 +141,6 @@ def test_points_written_in_bands_are_those_written_at_once(tmp_path, rng):
     for values, name in ((depth, "b.ply"), (np.full_like(depth, np.nan), "none.ply")):
         write_depth_ply(tmp_path / name, values, srgb, **rays)
     assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
-    write_ply(tmp_path / "0.ply", PointCloud(np.empty((0, 3), np.float32), np.empty((0, 3), np.uint8)))
+    write_ply(tmp_path / "0.ply", depth_to_points(np.full_like(depth, np.nan), srgb, **rays))
     assert (tmp_path / "none.ply").read_bytes() == (tmp_path / "0.ply").read_bytes()
     assert b"element vertex 0\n" in (tmp_path / "0.ply").read_bytes()
