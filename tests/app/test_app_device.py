@@ -256,6 +256,7 @@ def test_it_measures_without_the_computer(browser, small, tmp_path):
     with page.expect_download() as download:
         page.click("#camera-kept li:has-text('cy_halves') a")
     assert download.value.path().read_bytes() == small[0].read_bytes()
+    page.click("#camera-menu")
     open_photo(page, save_png(tmp_path / "p.png", small[1]))
     mode(page, "Measured on this device")
     expected = small[2].measure(light_of_counts(small[2].calibration)[0][small[1]])
