@@ -46,7 +46,7 @@ def main(out: Path) -> None:
             assistant(page, folder / "boards", out)
             page = opened(PHONE, **SHARP)
             page.click("#tab-calibrate")
-            page.click("text=bench")
+            page.click("#calibrate >> text=bench")
             page.wait_for_selector("#shot-file", state="attached")
             take(page, out / "app-assistant-phone.png", after_s=0.5)
         cameras_and_exposures(driver, folder, out)
