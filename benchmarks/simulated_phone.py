@@ -17,12 +17,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-from chromaperture.app.assistant_answers import CalibrationJob
 from video_signal import VideoSignal, drawn_smaller, video_frame
 
 from chromaperture.app.assistant import check_shot, sheets_of
+from chromaperture.app.assistant_routes import CalibrationJob
+from chromaperture.app.messages import collect_warnings
 from chromaperture.app.session_folder import SessionFolder
-from chromaperture.app.state import Workbench, heard
+from chromaperture.app.state import AppState
 from chromaperture.optics.aperture import DESIGNS, OPAQUE, Aperture, Disc, SubAperture, channel_transmission, made_of
 from chromaperture.optics.depth_error_bound import Texture, expected_accuracy
 from chromaperture.optics.pinhole import PupilCamera, focused_at, pupil_camera
@@ -198,9 +199,9 @@ def bounds(phone: Phone, sensor: SensorModel) -> dict[float, float]:
 def run_phone(phone: Phone, folder: Path, *, lens_blur: bool = True) -> dict[str, Any]:
     """Calibrate in a new folder by the assistant, and measure the planes; one row a distance and quality."""
     shutter = Shutter(phone)
-    bench = Workbench(folder, reserve_bytes=0)
+    bench = AppState(folder, reserve_bytes=0)
     session_folder, camera = folder / "sessions" / "phone", folder / "cameras" / "phone.asdf"
-    with heard():
+    with collect_warnings():
         _, warned = fill_session(shutter, session_folder, folder)
         job = CalibrationJob(session_folder, camera, folder / "report.html", lens_blur=lens_blur)
         job.start()
@@ -210,7 +211,7 @@ def run_phone(phone: Phone, folder: Path, *, lens_blur: bool = True) -> dict[str
     return {"warned": warned, "result": job.result, "rows": list(measured(shutter, bench))}
 
 
-def measured(shutter: Shutter, bench: Workbench) -> Iterator[dict[str, Any]]:
+def measured(shutter: Shutter, bench: AppState) -> Iterator[dict[str, Any]]:
     """Measure the planes by the function that answers the page."""
     for at in shutter.phone.planes_mm:
         picture, truth = shutter.take(f"plane/{at:g}"), shutter.depth_mm(f"plane/{at:g}")

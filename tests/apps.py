@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import http.client
 import re
 import shutil
 import socket
@@ -81,18 +82,20 @@ def free_port() -> int:
 
 @contextlib.contextmanager
 def served(
-    folder: Path, *, camera: Path | None = None, port: int | None = None, feeds: Sequence[Any] = (), **gate: Any
+    folder: Path, *, camera: Path | None = None, feeds: Sequence[Any] = (), certificate: Any = None, **gate: Any
 ) -> Iterator[App]:
-    """The app on this machine; ``gate`` replaces limits of its Gate."""
+    """The app on this machine, by HTTPS with a certificate; ``gate`` replaces limits of its Gate."""
     from chromaperture.app.listening import make_server
     from chromaperture.app.server import make_app
 
-    access, port = Access("127.0.0.1", TOKEN, command="serve"), port or free_port()
-    application = make_app(AppState(folder, camera, reserve_bytes=0), access, feeds=feeds)
+    access = Access("127.0.0.1", TOKEN, scheme="https" if certificate else "http", command="serve")
+    port, public = free_port(), certificate and certificate.certificate
+    application = make_app(AppState(folder, camera, reserve_bytes=0), access, certificate=public, feeds=feeds)
     for name, value in gate.items():
         setattr(application, name, value)
     ready = threading.Event()
-    server = make_server(application, host="127.0.0.1", port=port, ready=ready.set)
+    pair = certificate and (certificate.certificate, certificate.key)
+    server = make_server(application, host="127.0.0.1", port=port, certificate=pair, ready=ready.set)
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     assert ready.wait(20)
@@ -104,6 +107,16 @@ def served(
         assert not thread.is_alive()
         for feed in feeds:
             feed.close()
+
+
+def call(
+    app: Any, method: str, path: str, body: Any = None, headers: Any = None, token: str = TOKEN
+) -> tuple[int, bytes, Any]:
+    """One request to a port of this machine; returns status, body and headers of the answer."""
+    with contextlib.closing(http.client.HTTPConnection("127.0.0.1", app.port, timeout=60)) as connection:
+        connection.request(method, f"/{token}{path}", body, headers or {})
+        answer = connection.getresponse()
+        return answer.status, answer.read(), answer.headers
 
 
 @contextlib.contextmanager

@@ -8,7 +8,7 @@ from collections.abc import Callable
 WAIT_S = 60.0  # an upper bound for a busy machine; nothing waits so long
 
 
-def until(condition: Callable[[], bool]) -> None:
+def until(condition: Callable[[], object]) -> None:
     """Return once a condition holds."""
     end = time.monotonic() + WAIT_S
     while not condition():

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import shutil
+import struct
+import zlib
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -258,6 +262,17 @@ def write_board_session(folder: Path) -> None:
         cv2.imwrite(str(folder / "white" / f"{name}.png"), sheet[..., ::-1])
 
 
+def session_of(session: Path, folder: Path, suffix: str, write: Callable[[Path, np.ndarray], None]) -> Path:
+    """Copy a session with pictures of another kind; ``write`` takes a path and counts (H, W, 3)."""
+    shutil.copytree(session, folder)
+    for picture in folder.rglob("*.png"):
+        write(picture.with_suffix(suffix), cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)[..., ::-1])
+        picture.unlink()
+    table = folder / "distances.csv"
+    table.write_text(table.read_text().replace(".png", suffix))
+    return folder
+
+
 # ---- RAW files
 
 
@@ -276,15 +291,17 @@ def write_dng(
 ) -> None:
     """Write an uncompressed DNG (Adobe's specification 1.4) of a mosaic (H, W) uint16.
 
-    ``black`` is one level, or those of a cell of ``black_dim`` rows, row by row; ``active_area`` is top, left, bottom,
-    right, where the pattern begins.
+    ``pattern`` is that of a square cell, row by row; ``black`` is one level, or those of a cell of ``black_dim`` rows,
+    row by row; ``active_area`` is top, left, bottom, right, where the pattern begins.
     """
     colours = bytes("RGB".index(colour) for colour in pattern)
+    side = math.isqrt(len(colours))
     identity = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
     tags: list[tuple] = [
-        (33421, "H", 2, (2, 2), False), (33422, "B", 4, colours, False), (274, "H", 1, orientation, True),
-        (50706, "B", 4, bytes([1, 4, 0, 0]), False), (50707, "B", 4, bytes([1, 1, 0, 0]), False),
-        (50708, "s", 0, model + "\0", False), (50717, "I", 1, white, False), (50721, "2i", 9, identity, False),
+        (33421, "H", 2, (side, side), False), (33422, "B", side * side, colours, False),
+        (274, "H", 1, orientation, True), (50706, "B", 4, bytes([1, 4, 0, 0]), False),
+        (50707, "B", 4, bytes([1, 1, 0, 0]), False), (50708, "s", 0, model + "\0", False),
+        (50717, "I", 1, white, False), (50721, "2i", 9, identity, False),
         (50728, "2I", 3, (1, 1, 1, 1, 1, 1), False), (50778, "H", 1, 21, False),
         (271, "s", 0, "test\0", False), (272, "s", 0, model + "\0", False),
     ]  # fmt: skip
@@ -324,6 +341,16 @@ def stored(folder: Path) -> dict[str, bytes]:
 # ---- files that should be the same
 
 PNG = b"\x89PNG\r\n\x1a\n"
+
+
+def png_of(width: int, height: int, data: bytes = zlib.compress(bytes(9)), *, bits: int = 8) -> bytes:
+    """A colour PNG that declares a size, whatever its data hold."""
+
+    def chunk(kind, body):
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    header = struct.pack(">IIBBBBB", width, height, bits, 2, 0, 0, 0)
+    return PNG + chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
 
 
 def content(path: Path) -> bytes:

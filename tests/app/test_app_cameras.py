@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import http.client
-import json
 import shutil
 import threading
 import time
@@ -12,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from apps import FACTS, TOKEN, served
+from apps import FACTS, call, served
 from chromaperture.app.camera_feed import CameraFeed, preview_jpeg, write_frame
 from chromaperture.app.session_folder import SessionFolder
 from chromaperture.capture.files import read_image
@@ -137,13 +135,6 @@ def test_a_camera_that_nobody_looks_at_is_released(camera, feeds):
     assert camera.opened == 2
 
 
-def test_a_folder_that_nobody_looks_at_is_released(folder, feeds):
-    feed = feeds(folder, idle_s=0.05)
-    feed.next_frame()
-    until(lambda: not feed._thread.is_alive())
-    assert feed.next_frame().index == 0
-
-
 def test_a_driver_that_fails_is_one_sentence(monkeypatch, feeds):
     class Broken:
         live = True
@@ -169,22 +160,29 @@ def test_names_do_not_tell_folders(tmp_path):
 # ---- photographs of them
 
 
+UNSTATED = {name: value for name, value in FACTS.items() if "level" not in name}
+OFFSETS = ((0.25, 0.25), (0, 0), (-0.25, -0.25))
+
+
 def frame_of(light, encoding, dtype=np.uint16):
     counts = encoding.black_level + light * (encoding.white_level - encoding.black_level)
     return Frame(counts.astype(dtype) if dtype is np.float32 else np.rint(counts).astype(dtype), encoding, 0.0, 0)
 
 
 @pytest.mark.parametrize(
-    ("encoding", "dtype", "levels", "tolerance"),
+    ("encoding", "dtype", "facts", "levels", "tolerance"),
     [
-        (Encoding(64, 1023), np.uint16, (64, 1023), 1e-6),  # counts stay as they are
-        (Encoding(0.0, 1.0), np.float32, (2048, 63488), 1e-5),  # of floats, wide levels: a step is 1.6e-5
-        (Encoding(128, 2046, channel_offsets_px=((0.25, 0.25), (0, 0), (-0.25, -0.25))), np.uint16, (64, 1023), 6e-4),
+        (Encoding(64, 1023), np.uint16, UNSTATED, (64, 1023), 1e-6),  # counts stay as they are
+        (Encoding(0.0, 1.0), np.float32, UNSTATED, (2048, 63488), 1e-5),  # of floats, wide levels: a step is 1.6e-5
+        (Encoding(128, 2046, channel_offsets_px=OFFSETS), np.uint16, UNSTATED, (64, 1023), 6e-4),
+        (Encoding(0, 65535), np.uint16, FACTS, (16, 1016), 6e-4),  # half a count
     ],
-    ids=["counts", "float", "superpixels"],
+    ids=["counts", "float", "superpixels", "stated"],
 )
-def test_a_linear_frame_is_kept_with_its_levels(tmp_path, rng, encoding, dtype, levels, tolerance):
-    session = SessionFolder.create(tmp_path / "bench", {k: v for k, v in FACTS.items() if "level" not in k})
+def test_a_linear_frame_is_kept_with_its_levels_or_those_of_the_session(
+    tmp_path, rng, encoding, dtype, facts, levels, tolerance
+):
+    session = SessionFolder.create(tmp_path / "bench", facts)
     light = cv2.GaussianBlur(rng.uniform(0.1, 0.9, (20, 30, 3)).astype(np.float32), (0, 0), 3)
     frame, path = frame_of(light, encoding, dtype), tmp_path / "shot.png"
     write_frame(frame, path, session)
@@ -194,21 +192,12 @@ def test_a_linear_frame_is_kept_with_its_levels(tmp_path, rng, encoding, dtype, 
 
 
 def test_a_frame_of_a_webcam_stays_of_8_bits(tmp_path, rng):
-    session = SessionFolder.create(tmp_path / "bench", {k: v for k, v in FACTS.items() if "level" not in k})
+    session = SessionFolder.create(tmp_path / "bench", UNSTATED)
     counts = rng.integers(0, 255, (20, 30, 3), np.uint8)
     path = tmp_path / "shot.png"
     write_frame(Frame(counts, Encoding(0, 255, "srgb", given=False), 0.0, 0), path, session)
     np.testing.assert_array_equal(cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[..., ::-1], counts)
     assert session.facts.white_level is None
-
-
-def test_a_frame_is_stored_with_the_levels_that_the_session_states(tmp_path, rng):
-    session = SessionFolder.create(tmp_path / "bench", FACTS)  # 16 to 1016
-    light = rng.uniform(0.1, 0.9, (20, 30, 3)).astype(np.float32)
-    path = tmp_path / "shot.png"
-    write_frame(frame_of(light, Encoding(0, 65535)), path, session)
-    np.testing.assert_allclose(read_image(path, black_level=16, white_level=1016), light, atol=6e-4)  # half a count
-    assert session.facts.white_level == 1016
 
 
 def test_the_preview_is_as_exposed_and_small():
@@ -222,58 +211,13 @@ def test_the_preview_is_as_exposed_and_small():
 # ---- the server
 
 
-def call(app, method, path, body=b"", token=TOKEN):
-    connection = http.client.HTTPConnection("127.0.0.1", app.port, timeout=60)
-    connection.request(method, f"/{token}{path}", body=body or None)
-    answer = connection.getresponse()
-    content = answer.read()
-    connection.close()
-    return answer.status, content
-
-
-def test_the_assistant_photographs_with_a_camera_of_the_computer(tmp_path, folder):
-    with served(tmp_path / "app", feeds=[CameraFeed(folder)]) as app:
-        assert json.loads(call(app, "GET", "/api/sources")[1]) == [{"name": "pictures", "live": False}]
-        facts = {k: v for k, v in FACTS.items() if "level" not in k} | {"black_level": 16.0, "white_level": 1016.0}
-        status, _ = call(app, "POST", "/api/sessions", json.dumps({"name": "bench", "facts": facts}).encode())
-        assert status == 200
-        status, jpeg = call(app, "GET", "/api/sources/0/picture")
-        assert status == 200
-        assert cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR).shape == (240, 360, 3)
-        where = "/api/sessions/bench/shots?kind=board&ruler_mm=2000&source=0&keep=always"
-        status, text = call(app, "POST", where)
-        found = json.loads(text)
-        assert (status, found["kept"]) == (200, "board/2000.png"), text
-        assert any(c["name"] == "board" and c["verdict"] == "ok" for c in found["checks"]), found["checks"]
-        assert call(app, "DELETE", "/api/sources/0")[0] == 200
-        assert [p.name for p in (tmp_path / "app").iterdir() if p.name.startswith(".")] == []
-
-
 @pytest.mark.parametrize("number", ["1", "-1", "00000", "x", "%2e%2e", "0%20", "webcam:0"])
 def test_no_other_camera_can_be_named(tmp_path, folder, number):
     with served(tmp_path / "app", feeds=[CameraFeed(folder)]) as app:
         for method, path in (("GET", f"/api/sources/{number}/picture"), ("DELETE", f"/api/sources/{number}")):
-            status, text = call(app, method, path)
+            status, text, _ = call(app, method, path)
             assert status in (400, 404, 405), text
         where = f"/api/sessions/none/shots?kind=tilt&source={number}"
-        status, text = call(app, "POST", where)
+        status, text, _ = call(app, "POST", where)
         assert (status, b"no such camera" in text) == (400, True)
         assert call(app, "GET", "/api/sources", token="wrong")[0] == 403
-
-
-def test_a_source_that_ends_or_fails_is_one_sentence(tmp_path, folder):
-    feeds = [CameraFeed(folder), CameraFeed(str(tmp_path / "missing"))]
-    with served(tmp_path / "app", feeds=feeds) as app:
-        for _ in range(3):
-            assert call(app, "GET", "/api/sources/0/picture")[0] == 200
-        for number, sentence in ((0, "no more pictures"), (1, "missing")):
-            status, text = call(app, "GET", f"/api/sources/{number}/picture")
-            assert status == 400
-            assert sentence in json.loads(text)["error"]
-
-
-def test_a_source_that_is_none_is_one_line(run, tmp_path, monkeypatch):
-    monkeypatch.setenv("CHROMAPERTURE_STATE", str(tmp_path / "state"))
-    result = run("serve", "--out", tmp_path / "app", "--source", "camera:0", "-q")
-    assert (result.returncode, len(result.stderr.splitlines())) == (2, 1)
-    assert "unknown kind" in result.stderr

@@ -154,9 +154,8 @@ def mode(page, text):
 # ---- live and photo
 
 
-@pytest.mark.parametrize("size", [PHONE, DESKTOP], ids=["phone", "desktop"])
-def test_live_depth_of_this_device_is_that_of_python(page_at, small, size):
-    page = page_at(size)
+def test_live_depth_of_this_device_is_that_of_python(page_at, small):
+    page = page_at()
     page.click("#live-start")
     page.wait_for_selector("#live-speed:has-text('frames/s')")
     mode(page, "Measured on this device")
@@ -199,30 +198,22 @@ def test_a_photograph_is_measured_here_and_focused_by_the_computer(page_at, smal
     mode(page, "Measured on this device")  # only its focus is the computer's
 
 
-def test_points_are_those_that_the_command_line_writes(page_at, small, tmp_path):
-    page = page_at(DESKTOP)
-    open_photo(page, save_png(tmp_path / "p.png", small[1]))
-    counts = {}
-    for where in ("device", "computer"):
+def test_points_are_those_that_the_command_line_writes_and_turned_by_a_finger(page_at, small, tmp_path):
+    page, path, counts = page_at(), save_png(tmp_path / "p.png", small[1]), {}
+    for where in ("computer", "device"):
         page.select_option("#where", where)
-        open_photo(page, str(tmp_path / "p.png"))
+        open_photo(page, path)
         mode(page, "Measured on this device" if where == "device" else "Measured by the computer")
         page.locator("#photo-viewer [data-view=points]").click()
         page.wait_for_selector("#photo-viewer .turned canvas[aria-label*=points]")
         page.wait_for_timeout(1500)
         counts[where] = int(page.get_attribute("#photo-viewer .turned canvas", "aria-label").split()[0])
-        page.locator("#photo-viewer [data-view=depth]").click()
+        if where == "computer":
+            page.locator("#photo-viewer [data-view=depth]").click()
     frame = small[2].measure(light_of_counts(small[2].calibration)[0][small[1]])
     written = np.isfinite(within_error(frame.depth_mm, frame.sigma_mm)).sum()
     assert counts["device"] == pytest.approx(written, rel=0.01)
     assert counts["computer"] == pytest.approx(written, rel=0.03)  # by Numba, which rounds scores to 16 bits
-
-
-def test_points_are_turned_by_a_finger(page_at, small, tmp_path):
-    page = page_at(PHONE)
-    open_photo(page, save_png(tmp_path / "p.png", small[1]))
-    page.locator("#photo-viewer [data-view=points]").click()
-    page.wait_for_selector("#photo-viewer .turned canvas[aria-label*=points]")
     canvas = page.locator("#photo-viewer .turned canvas")
 
     def shot():
@@ -261,6 +252,11 @@ def test_it_measures_without_the_computer(browser, small, tmp_path):
     page.reload()
     assert "measures by itself" in says(page, "The computer does not answer")
     assert page.input_value("#where") == "auto"  # nothing has to be chosen
+    page.click("#camera-menu")
+    with page.expect_download() as download:
+        page.click("#camera-kept li:has-text('cy_halves') a")
+    assert download.value.path().read_bytes() == small[0].read_bytes()
+    page.click("#camera-menu")
     open_photo(page, save_png(tmp_path / "p.png", small[1]))
     mode(page, "Measured on this device")
     expected = small[2].measure(light_of_counts(small[2].calibration)[0][small[1]])
@@ -359,29 +355,6 @@ def test_a_photograph_stays_while_live_measures_with_the_same_arrays(page_at, sm
     page.click("#tab-photo")
     assert reading(page, "#photo-viewer", *PLACES[0], **SIZE) == before
     assert before != live
-
-
-def test_a_turned_phone_and_a_page_in_the_background_pause(page_at):
-    page = page_at(
-        script="""
-        Object.defineProperty(Document.prototype, "hidden", { get: () => Boolean(window.away) });
-        const video = HTMLVideoElement.prototype;
-        const [w, h] = ["videoWidth", "videoHeight"].map((name) => Object.getOwnPropertyDescriptor(video, name).get);
-        Object.defineProperty(video, "videoWidth", { get() { return (window.turned ? h : w).call(this); } });
-        Object.defineProperty(video, "videoHeight", { get() { return (window.turned ? w : h).call(this); } });
-    """
-    )
-    page.click("#live-start")
-    page.wait_for_selector("#live-speed:has-text('frames/s')")
-    page.evaluate("window.turned = true")
-    says(page, "hold the device as it was calibrated")
-    page.evaluate("window.turned = false")
-    page.wait_for_selector("#message", state="hidden")
-    page.evaluate("window.away = true; document.dispatchEvent(new Event('visibilitychange'))")
-    page.wait_for_selector("#live-speed:has-text('paused')")
-    page.evaluate("window.away = false; document.dispatchEvent(new Event('visibilitychange'))")
-    page.wait_for_selector("#live-speed:has-text('frames/s')")
-    mode(page, "Measured on this device")
 
 
 def test_pictures_of_another_size(page_at, small, tmp_path):

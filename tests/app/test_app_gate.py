@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from chromaperture.app.gate import MOST_BODY_BYTES, MOST_UPLOADS, Access, Gate, Refused
+from chromaperture.app.gate import MOST_BODY_BYTES, MOST_UPLOADS, Access, Gate
 from chromaperture.app.state import safe_name
 
 TOKEN = "right-token-of-the-test"
@@ -61,18 +61,11 @@ def test_the_owner_gets_in_and_the_app_sees_no_token(gate):
 @pytest.mark.parametrize(
     ("path", "headers", "reason"),
     [
-        ("/", (), "token"),
         ("/wrong-token/api/about", (), "token"),
-        (f"/{TOKEN}x/api/about", (), "token"),
-        (f"//{TOKEN}/api/about", (), "token"),
-        # a foreign name that leads here (DNS rebinding), no name, two names
+        # a foreign name that leads here (DNS rebinding); more in test_live_page.py
         (f"/{TOKEN}/", ((b"host", b"evil.example:8733"),), "name"),
-        (f"/{TOKEN}/", ((b"host", b"127.0.0.1.evil.example"),), "name"),
         (f"/{TOKEN}/", ((b"host", HOST), (b"host", b"evil.example")), "name"),
-        # another page, another port of this machine, a sandboxed page
         (f"/{TOKEN}/", ((b"origin", b"https://evil.example"),), "another web page"),
-        (f"/{TOKEN}/", ((b"origin", b"http://127.0.0.1:9999"),), "another web page"),
-        (f"/{TOKEN}/", ((b"origin", b"null"),), "another web page"),
         (f"/{TOKEN}/", ((b"sec-fetch-site", b"cross-site"), (b"sec-fetch-mode", b"no-cors")), "another web page"),
     ],
 )
@@ -92,13 +85,6 @@ def test_a_websocket_is_refused(gate):
     assert sent == [{"type": "websocket.close", "code": 1008}]
 
 
-def test_an_upload_of_a_gigabyte_is_refused_by_its_header(gate):
-    headers = ((b"content-length", str(2**30).encode()),)
-    status, text, _ = ask(gate, f"/{TOKEN}/api/photos", method="POST", headers=headers, body=())
-    assert status == 413  # no part of the body was asked for: there is none to give
-    assert "256 MB" in text
-
-
 def test_an_upload_that_does_not_state_its_length_ends_at_the_limit(gate):
     gate.most_upload_bytes = 1000
     status, text, _ = ask(gate, f"/{TOKEN}/api/photos", method="POST", body=[b"x" * 600] * 1000)
@@ -110,15 +96,6 @@ def test_an_upload_that_does_not_state_its_length_ends_at_the_limit(gate):
 def test_only_photographs_may_be_large(gate):
     status, _, _ = ask(gate, method="POST", body=[b"x" * MOST_BODY_BYTES, b"x"])
     assert status == 413
-
-
-def test_a_sender_who_dawdles_is_cut_off(gate):
-    gate.part_s = 0.05
-    began = time.monotonic()
-    status, text, _ = ask(gate, f"/{TOKEN}/api/photos", method="POST", body=[b"x"] * 3, between_s=5.0)
-    assert status == 408
-    assert "too slow" in text
-    assert time.monotonic() - began < 2  # not the 15 s of the sender
 
 
 def test_a_sender_of_one_byte_at_a_time_is_cut_off(gate):
@@ -160,16 +137,9 @@ def test_uploads_at_a_time_are_few(gate):
     gate.uploading = 0
     ask(gate, f"/{TOKEN}/api/photos", method="POST")
     assert gate.uploading == 0  # counted down again
-
-
-def test_a_refused_upload_is_counted_down(gate):
     gate.most_upload_bytes = 1
-    ask(gate, f"/{TOKEN}/api/photos", method="POST", body=[b"xx"])
+    assert ask(gate, f"/{TOKEN}/api/photos", method="POST", body=[b"xx"])[0] == 413
     assert gate.uploading == 0
-
-
-def test_a_refusal_has_a_status():
-    assert Refused(403, "no").status == 403
 
 
 @pytest.mark.parametrize(
@@ -180,7 +150,7 @@ def test_a_refusal_has_a_status():
         ("/etc/cron.d/x.png", "x.png"),
         (".bashrc", "bashrc"),
         ("a\0b.png", "a_b.png"),
-        ("photo.jpg", "photo.jpg"),
+        ("photo 1.JPG", "photo_1.JPG"),
         ("", "photo"),
         ("...", "photo"),
         ("x" * 500 + ".png", "x" * 90 + ".png"),

@@ -22,8 +22,9 @@ pytestmark = BROWSER_TESTS
 NAME = "still_life_cy_halves"
 PLACES = ((0.25, 0.6), (0.62, 0.6), (0.8, 0.55))  # on the books of the sample, fractions of the frame
 
-# Lets a video exchange width and height, as when a phone turns.
-TURNING = """
+# Lets a video exchange width and height, as when a phone turns, and lets a page lie in the background.
+AWAY = """
+    Object.defineProperty(Document.prototype, "hidden", { get: () => Boolean(window.away) });
     const video = HTMLVideoElement.prototype;
     const [w, h] = ["videoWidth", "videoHeight"].map((name) => Object.getOwnPropertyDescriptor(video, name).get);
     Object.defineProperty(video, "videoWidth", { get() { return (window.turned ? h : w).call(this); } });
@@ -62,9 +63,8 @@ def page_at(browser, app):
 # ---- live
 
 
-@pytest.mark.parametrize("size", [PHONE, DESKTOP], ids=["phone", "desktop"])
-def test_live_depth_is_that_of_python(page_at, size):
-    page = page_at(size)
+def test_live_depth_is_that_of_python(page_at):
+    page = page_at(PHONE)
     page.click("#live-start")
     page.wait_for_selector("#live-viewer canvas:not([hidden])", timeout=30_000)
     page.wait_for_selector("#live-speed:has-text('frames/s')")
@@ -84,21 +84,14 @@ def test_live_depth_is_that_of_python(page_at, size):
     assert page.inner_text("#live-start") == "Start the camera"
 
 
-def test_a_turned_phone_pauses_and_goes_on(page_at):
-    page = page_at(PHONE, script=TURNING)
+def test_a_turned_phone_and_a_page_in_the_background_pause_and_go_on(page_at):
+    page = page_at(PHONE, script=AWAY)
     page.click("#live-start")
     page.wait_for_selector("#live-speed:has-text('frames/s')", timeout=30_000)
     page.evaluate("window.turned = true")
     assert "hold the device as it was calibrated" in says(page, "960 x 1440")
     page.evaluate("window.turned = false")
     page.wait_for_selector("#message", state="hidden")
-
-
-def test_a_page_in_the_background_pauses(page_at):
-    script = 'Object.defineProperty(Document.prototype, "hidden", { get: () => Boolean(window.away) });'
-    page = page_at(PHONE, script=script)
-    page.click("#live-start")
-    page.wait_for_selector("#live-speed:has-text('frames/s')", timeout=30_000)
     page.evaluate("window.away = true; document.dispatchEvent(new Event('visibilitychange'))")
     page.wait_for_selector("#live-speed:has-text('paused')")
     page.evaluate("window.away = false; document.dispatchEvent(new Event('visibilitychange'))")
@@ -108,7 +101,6 @@ def test_a_page_in_the_background_pauses(page_at):
 @pytest.mark.parametrize(
     ("error", "sentence"),
     [
-        ("NotAllowedError", "does not give this page the camera"),
         ("NotReadableError", "another app uses it"),
         ("NotFoundError", "This device has no camera"),
         ("SomethingNew", "SomethingNew"),
@@ -149,38 +141,27 @@ def test_a_photograph_is_measured_focused_by_a_touch_and_saved(page_at):
         assert np.nanmin(window) - 1 <= depth <= np.nanmax(window) + 1  # rounded to mm
         assert sigma > 0
     page.locator("#photo-viewer [data-view=picture]").click()
-    pictures = []
-    for step in (0, -2):
-        with page.expect_response(re.compile("refocused")) as answer:
-            page.evaluate(
-                "(step) => { const f = document.getElementById('f-number'); f.value = step; "
-                "f.dispatchEvent(new Event('input')); }",
-                step,
-            )
-        assert answer.value.status == 200
-        with page.expect_response(re.compile(r"refocused.*x=0\.2")) as answer:
-            reading(page, "#photo-viewer", *PLACES[0])
-        png = np.frombuffer(page.request.get(answer.value.url).body(), np.uint8)
-        pictures.append(cv2.imdecode(png, cv2.IMREAD_GRAYSCALE).astype(float))
-    wall = (slice(30, 120), slice(200, 500))
-    detail = [np.abs(np.diff(picture[wall], axis=1)).mean() for picture in pictures]
-    assert detail[1] < 0.8 * detail[0]  # behind the book that was touched, softer with the larger pupil
+
+    def is_wider(answer):  # than before; test_app_server.py looks at the pictures
+        asked = re.search(r"refocused.*f_number=([\d.]+)", answer.url)
+        return asked is not None and float(asked[1]) < 1.5
+
+    with page.expect_response(is_wider) as answer:
+        page.evaluate(
+            "() => { const f = document.getElementById('f-number'); f.value = -2; "
+            "f.dispatchEvent(new Event('input')); }"
+        )
+    assert answer.value.status == 200
+    with page.expect_response(re.compile(r"refocused.*x=0\.2")):
+        reading(page, "#photo-viewer", *PLACES[0])
     with page.expect_download() as download:
         page.click("#photo-save")
     packed = zipfile.ZipFile(io.BytesIO(download.value.path().read_bytes()))
     assert f"{NAME}.depth.tiff" in packed.namelist()
-
-
-def test_a_portrait_photograph_is_said(page_at, tmp_path):
-    from PIL import Image
-
-    _, image = open_sample(NAME)
-    exif = Image.Exif()
-    exif[0x0112] = 6
-    Image.fromarray(linear_to_srgb_bytes(image)).save(tmp_path / "p.jpg", quality=95, subsampling=0, exif=exif)
-    page = page_at(PHONE)
-    open_photo(page, str(tmp_path / "p.jpg"))
-    says(page, "portrait orientation")
+    with page.expect_download() as download:
+        page.click("#photo-embed")
+    assert download.value.suggested_filename == f"{NAME}.gdepth.jpg"
+    assert download.value.path().read_bytes() == packed.read(f"{NAME}.gdepth.jpg")
 
 
 def test_a_photograph_of_another_camera_is_one_sentence(page_at, tmp_path):
@@ -201,28 +182,6 @@ def test_a_file_that_is_too_large_is_not_sent(page_at):
 
 
 # ---- the page itself
-
-
-def test_it_opens_again_without_the_server(browser, tmp_path):
-    context = browser.new_context(viewport=PHONE)
-    page = context.new_page()
-    with served(tmp_path, camera=sample_camera(NAME)) as app:
-        page.goto(app.url)
-        page.wait_for_selector("#camera option[value=cy_halves]", state="attached")
-        page.evaluate("navigator.serviceWorker.ready.then(() => true)")
-        page.click("#camera-menu")
-        page.click("#camera-keep")
-        says(page, "Kept on this device")
-    page.reload()
-    says(page, "does not answer")
-    page.click("#camera-menu")
-    page.wait_for_selector("#camera-kept li:has-text('cy_halves')")  # the camera file stayed
-    with page.expect_download() as download:
-        page.click("#camera-kept a")
-    assert download.value.path().read_bytes() == sample_camera(NAME).read_bytes()
-    page.click("#tab-photo")
-    assert page.is_visible("#photo-take + *") or page.is_visible("text=Take a photograph")
-    context.close()
 
 
 def test_a_full_storage_is_one_sentence(page_at, app):
@@ -337,14 +296,3 @@ def test_the_devices_camera_photographs_for_the_assistant(page_at):
     page.click("#shot-camera")  # a photograph without a board is not kept
     page.wait_for_selector("#checks:has-text('Not kept')", timeout=60_000)
     assert page.locator(".shots li").count() == 0
-
-
-def test_facts_that_make_no_sense_are_one_sentence(page_at):
-    page = page_at(PHONE)
-    begin_with = FACTS | {"focus_mm": 9000}
-    page.click("#tab-calibrate")
-    page.wait_for_selector("input[name=name]")
-    for key in ("focus_mm", "nearest_mm", "farthest_mm"):
-        page.fill(f"input[name={key}]", str(begin_with[key]))
-    page.click("text=Begin")
-    says(page, "must lie between the nearest and the farthest board")

@@ -13,7 +13,7 @@ from apps import FACTS
 from chromaperture.app.assistant import advice, best_gain, check_shot, frame_cells, lens_of, sheets_of, state
 from chromaperture.app.assistant_routes import CalibrationJob
 from chromaperture.app.forecast import curve_sigma
-from chromaperture.app.session_folder import MOST_SHOTS, Holding, SessionFolder, Shot
+from chromaperture.app.session_folder import MOST_SHOTS, SessionFolder, Shot
 from chromaperture.app.state import AppState
 from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.options import CalibrationConfig
@@ -25,6 +25,7 @@ from chromaperture.system.errors import InputError
 pytestmark = pytest.mark.extra("serve", "starlette")  # runs with the other extras, not in the README's test step
 
 BOARDS_MM = (1000, 1500, 2000, 2500, 3000)
+GREY = np.array([1, 0, 0], np.uint16)  # nearly: a picture that is grey to the last count is refused
 
 
 def assisted(folder, rendered, *, boards=BOARDS_MM, tilts=5, sheets=True) -> SessionFolder:
@@ -102,24 +103,35 @@ def test_the_folder_is_an_ordinary_session(filled, rendered):
     assert state(again)["boards_mm"] == list(BOARDS_MM)
 
 
+def same(counts):
+    return counts
+
+
 @pytest.mark.parametrize(
-    ("at", "change", "ruler_mm", "problem"),
+    ("name", "change", "options", "problem"),
     [
-        (1000, lambda c: c[:, ::-1], 1000, "film orientation"),  # the film mirrored
-        (1000, lambda c: np.repeat(c[..., 1:2], 3, axis=2) + np.array([1, 0, 0], np.uint16), 1000, "film"),  # no film
-        (2000, lambda c: cv2.blur(c, (7, 1)), 2000, "motion"),
-        (1500, lambda c: cv2.GaussianBlur(c, (0, 0), 3), 1500, "sharpness"),
-        (1500, lambda c: c, 1900, "ruler"),
-        (1500, lambda c: c, 150, "ruler"),  # in cm
-        (1500, lambda c: np.minimum(c * 2, 1023).astype(np.uint16), 1500, "exposure"),
-        (1500, lambda c: (16 + (c - 16.0) / 30).astype(np.uint16), 1500, "exposure"),
-        (1500, lambda c: c[::-1, ::-1] * 0 + 300 + np.arange(3, dtype=np.uint16), 1500, "board"),
+        ("board/1000", lambda c: c[:, ::-1], {"ruler_mm": 1000}, "film orientation"),  # the film mirrored
+        ("board/1000", lambda c: np.repeat(c[..., 1:2], 3, axis=2) + GREY, {"ruler_mm": 1000}, "film"),  # no film
+        ("board/2000", lambda c: cv2.blur(c, (7, 1)), {"ruler_mm": 2000}, "motion"),
+        ("board/1500", lambda c: cv2.GaussianBlur(c, (0, 0), 3), {"ruler_mm": 1500}, "sharpness"),
+        ("board/1500", same, {"ruler_mm": 1900}, "ruler"),
+        ("board/1500", same, {"ruler_mm": 150}, "ruler"),  # in cm
+        ("board/1500", lambda c: np.minimum(c * 2, 1023).astype(np.uint16), {"ruler_mm": 1500}, "exposure"),
+        ("board/1500", lambda c: (16 + (c - 16.0) / 30).astype(np.uint16), {"ruler_mm": 1500}, "exposure"),
+        ("board/1500", lambda c: c * 0 + 300 + np.arange(3, dtype=np.uint16), {"ruler_mm": 1500}, "board"),
+        ("tilt/00", same, {"ruler_mm": 1900}, "squareness"),
+        ("board/1500", same, {"kind": "tilt"}, "tilt"),
+        ("white/open", same, {"kind": "white", "sheet": "cy_halves"}, "film"),
+        ("white/sheet_c", same, {"kind": "white", "sheet": "sheet_y"}, "film"),
+        ("board/1000", same, {"kind": "white", "sheet": "open"}, "sheet"),
+        ("white/open", lambda c: c * 0 + 1020, {"kind": "white", "sheet": "open"}, "exposure"),
     ],
-    ids=["mirrored", "no-film", "motion", "blurred", "wrong-ruler", "unit", "bright", "dark", "no-board"],
 )
-def test_a_spoiled_board_is_named(tmp_path, filled, rendered, at, change, ruler_mm, problem):
-    path = spoiled(tmp_path, rendered / "board" / f"{at}.png", change)
-    assert problem in problems(filled, path, ruler_mm=ruler_mm)
+def test_a_spoiled_photograph_is_named(tmp_path, filled, rendered, name, change, options, problem):
+    found = problems(filled, spoiled(tmp_path, rendered / f"{name}.png", change), **options)
+    assert problem in found
+    if options.get("kind", "board") != "board" and not name.startswith("board/1000"):
+        assert found == {problem}
 
 
 def test_focus_that_moved_is_named_by_the_boards_before(tmp_path, filled, rendered):
@@ -134,23 +146,6 @@ def test_focus_that_moved_is_named_by_the_boards_before(tmp_path, filled, render
 
     path = spoiled(tmp_path, rendered / "board" / "1500.png", refocused)
     assert problems(filled, path, ruler_mm=1500) == {"focus"}
-
-
-def test_a_board_that_does_not_lean_is_no_tilt(filled, rendered):
-    assert problems(filled, rendered / "board" / "1500.png", kind="tilt") == {"tilt"}
-
-
-def test_a_leaning_board_is_not_square(filled, rendered):
-    assert "squareness" in problems(filled, rendered / "tilt" / "00.png", ruler_mm=1900)
-
-
-def test_wrong_sheets_are_named(tmp_path, filled, rendered):
-    white = rendered / "white"
-    assert problems(filled, white / "open.png", kind="white", sheet="cy_halves") == {"film"}
-    assert problems(filled, white / "sheet_c.png", kind="white", sheet="sheet_y") == {"film"}
-    assert "sheet" in problems(filled, rendered / "board" / "1000.png", kind="white", sheet="open")
-    bright = spoiled(tmp_path, white / "open.png", lambda c: c * 0 + 1020)
-    assert problems(filled, bright, kind="white", sheet="open") == {"exposure"}
 
 
 def test_a_photograph_of_another_size_or_kind_is_refused(tmp_path, filled, rendered):
@@ -253,24 +248,6 @@ def test_sheets_and_tilts_are_asked_for_until_all_is_there(tmp_path, rendered, f
     assert everything["kind"] in ("tilt", "calibrate")
 
 
-@pytest.mark.slow
-def test_its_camera_is_that_of_the_command_line(tmp_path, rendered_camera, filled):
-    """From an empty folder, with what a photographer knows, to a camera within 0.5 % of `calibrate`'s."""
-    held = Holding(angle_deg=90, orientation="landscape-primary", facing="environment")
-    job = CalibrationJob(
-        filled.folder, tmp_path / "app.asdf", tmp_path / "app.report.html", lens_blur=False, holding=held
-    )
-    job.start()
-    job.wait()
-    assert job.error == ""
-    assert "<html" in (tmp_path / "app.report.html").read_text()
-    ours, theirs = Calibration.load(tmp_path / "app.asdf"), Calibration.load(rendered_camera)
-    for name in ("focal_length_mm", "in_focus_mm", "baseline_mm", "infinity_disparity_px", "scale_px_mm"):
-        assert ours.summary()[name] == pytest.approx(theirs.summary()[name], rel=5e-3), name
-    (shown,) = AppState(tmp_path / "app", tmp_path / "app.asdf", reserve_bytes=0).describe_cameras()
-    assert shown["holding"] == held.model_dump()
-
-
 def test_a_stopped_calibration_leaves_no_camera(tmp_path, filled):
     job = CalibrationJob(filled.folder, tmp_path / "app.asdf", tmp_path / "app.report.html", lens_blur=False)
     job.stop()
@@ -291,17 +268,18 @@ def test_a_calibration_without_boards_is_one_sentence(tmp_path, rendered):
 
 
 @pytest.mark.parametrize(
-    ("holding", "siting"),
+    ("holding", "siting", "is_told"),
     [
-        ({}, None),
-        ({"angle_deg": 90}, "centre"),
-        ("upright", "left"),
-        ({"angle_deg": 45, "orientation": "landscape-primary"}, None),
+        ({}, None, False),
+        ({"angle_deg": 90}, "centre", False),
+        ("upright", "left", False),
+        ({"angle_deg": 45, "orientation": "landscape-primary"}, None, False),
+        ({"angle_deg": 90, "orientation": "landscape-primary", "facing": "environment"}, None, True),
     ],
 )
-def test_what_a_camera_file_says_of_its_video_may_be_absent_or_nonsense(tmp_path, holding, siting):
+def test_what_a_camera_file_says_of_its_video_may_be_absent_or_nonsense(tmp_path, holding, siting, is_told):
     camera = replace(Calibration.load(sample_camera("still_life_cy_halves")), provenance={"holding": holding})
     camera = replace(camera, sensor=replace(camera.sensor, siting=siting))
     camera.save(tmp_path / "odd.asdf")
     (shown,) = AppState(tmp_path / "app", tmp_path / "odd.asdf", reserve_bytes=0).describe_cameras()
-    assert (shown["siting"], shown["holding"]) == (siting or "left", None)
+    assert (shown["siting"], shown["holding"]) == (siting or "left", holding if is_told else None)

@@ -88,6 +88,13 @@ def page_at(browser, app):
         yield opened
 
 
+@pytest.fixture(scope="module")
+def shared(browser, app):
+    """A page for what leaves no trace in it."""
+    with pages(browser, app.url) as opened:
+        yield opened(PHONE)
+
+
 def frame_data(planes, kind):
     if kind == "NV12":
         return planes[0].tobytes() + np.stack(planes[1:], axis=-1).tobytes()
@@ -98,13 +105,13 @@ def frame_data(planes, kind):
     ("kind", "siting"), [("I420", "left"), ("NV12", "left"), ("I420", "centre"), ("I420", "top-left")]
 )
 @pytest.mark.parametrize("moved_px", [0.0, 1.2])
-def test_colours_of_a_frame_lie_where_the_camera_saw_them(page_at, kind, siting, moved_px):
-    page, encoded = page_at(PHONE), textured(moved_px)
+def test_colours_of_a_frame_lie_where_the_camera_saw_them(shared, kind, siting, moved_px):
+    encoded = textured(moved_px)
     values = {
         "data": base64.b64encode(frame_data(planes_of(encoded, siting), kind)).decode(), "format": kind,
         "width": WIDTH, "height": HEIGHT, "siting": siting, "colorSpace": {"matrix": "smpte170m", "fullRange": False},
     }  # fmt: skip
-    found = page.evaluate(HALVED, values)
+    found = shared.evaluate(HALVED, values)
     planes, canvas = (
         np.frombuffer(base64.b64decode(found[way]), np.uint8).reshape(HEIGHT // 2, WIDTH // 2, 4)[..., :3]
         for way in ("planes", "canvas")
@@ -117,13 +124,12 @@ def test_colours_of_a_frame_lie_where_the_camera_saw_them(page_at, kind, siting,
 
 @pytest.mark.parametrize("full", [False, True])
 @pytest.mark.parametrize("matrix", ["bt709", "smpte170m"])
-def test_matrix_and_range_are_those_that_the_frame_states(page_at, matrix, full):
-    page = page_at(PHONE)
+def test_matrix_and_range_are_those_that_the_frame_states(shared, matrix, full):
     data = np.concatenate([np.full(64, 120), np.full(16, 90), np.full(16, 170)]).astype(np.uint8).tobytes()
     space = {"matrix": matrix, "fullRange": full, "primaries": "bt709", "transfer": "bt709"}
     values = {"data": base64.b64encode(data).decode(), "format": "I420", "width": 8, "height": 8, "siting": "left",
               "colorSpace": space}  # fmt: skip
-    found = page.evaluate(HALVED, values)
+    found = shared.evaluate(HALVED, values)
     planes, canvas = (
         np.frombuffer(base64.b64decode(found[way]), np.uint8)[:3].astype(int) for way in ("planes", "canvas")
     )
@@ -131,13 +137,12 @@ def test_matrix_and_range_are_those_that_the_frame_states(page_at, matrix, full)
 
 
 @pytest.mark.parametrize("kind", ["BGRA", "I444"])
-def test_frames_with_all_their_colours_stay_whole(page_at, kind):
-    page = page_at(PHONE)
+def test_frames_with_all_their_colours_stay_whole(shared, kind):
     pixel = [10, 20, 30, 255] if kind == "BGRA" else [120, 128, 128]
     data = np.tile(pixel, 64) if kind == "BGRA" else np.repeat(pixel, 64)
     values = {"data": base64.b64encode(data.astype(np.uint8).tobytes()).decode(), "format": kind, "width": 8,
               "height": 8, "siting": "left"}  # fmt: skip
-    found = page.evaluate(HALVED, values)
+    found = shared.evaluate(HALVED, values)
     assert found["width"] == 8
     expected = [30, 20, 10] if kind == "BGRA" else [121, 121, 121]
     assert np.abs(np.frombuffer(base64.b64decode(found["planes"]), np.uint8)[:3] - np.array(expected)).max() <= 1

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import contextlib
-import http.client
 import json
 import math
 import shutil
@@ -21,7 +20,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from apps import BROWSER_TESTS, DESKTOP, PHONE, chromium, pages
+from apps import BROWSER_TESTS, DESKTOP, PHONE, call, chromium, pages, reading
 from chromaperture.app.gate import Access
 from chromaperture.app.listening import bound
 from chromaperture.app.live.loop import LiveLoop
@@ -92,13 +91,7 @@ def served(folder, **options):
 
 def ask(page: LivePage, path: str = "", *, method: str = "GET", token: str | None = None, **headers: str):
     """One request; returns status, body and headers."""
-    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=WAIT_S)
-    try:
-        connection.request(method, f"/{page.access.token if token is None else token}/{path}", None, headers)
-        answer = connection.getresponse()
-        return answer.status, answer.read(), answer.headers
-    finally:
-        connection.close()
+    return call(page, method, f"/{path}", headers=headers, token=token or page.access.token)
 
 
 def post(page: LivePage, path: str) -> tuple[int, dict]:
@@ -433,19 +426,6 @@ def browser_test(test):
     return test
 
 
-def read_at(page, x: float, y: float) -> str:
-    box = page.locator("#watch-viewer .stage canvas").bounding_box()
-    scale = min(box["width"] / 360, box["height"] / 240)
-    left, top = box["x"] + (box["width"] - scale * 360) / 2, box["y"] + (box["height"] - scale * 240) / 2
-    page.mouse.click(left + x * scale * 360, top + y * scale * 240)
-    page.wait_for_selector("#watch-viewer .reading:not([hidden])")
-    return page.inner_text("#watch-viewer .reading")
-
-
-def set_slider(page, name: str, value: float) -> None:
-    page.locator(f"#watch-{name}").fill(str(value))
-
-
 @browser_test
 @pytest.mark.parametrize("size", [PHONE, DESKTOP], ids=["phone", "desktop"])
 def test_the_page_shows_depth_and_reads_it(browser, tmp_path, size):
@@ -457,16 +437,16 @@ def test_the_page_shows_depth_and_reads_it(browser, tmp_path, size):
         assert page.is_hidden("nav")
         assert page.is_hidden("#live-start")
         frame = live.view.last.measurement
-        depth, sigma = (float(v) for v in read_at(page, 0.25, 0.6).removesuffix(" mm").split(" ± "))
+        depth, sigma = reading(page, "#watch-viewer", 0.25, 0.6, width=360, height=240)
         window = frame.depth_mm[282:295, 173:188]
         assert depth == pytest.approx(float(np.nanmedian(window)), abs=max(sigma, 0.02 * depth))
         # The limits are the page's own.
-        set_slider(page, "far", 1300)
+        page.fill("#watch-far", "1300")
         shown = int(page.inner_text("#watch-found").split("; ")[1].removesuffix(" % of the pixels"))
         kept = within_error(frame.depth_mm, frame.sigma_mm, 0.1)
         assert shown == pytest.approx(100 * ((kept >= 900) & (kept <= 1300)).mean(), abs=2)
         assert "1300 mm" in page.inner_text("#watch-viewer .scale")
-        set_slider(page, "percent", 0.1)
+        page.fill("#watch-percent", "0.1")
         assert page.inner_text("#watch-found") == "no pixel is within these limits"
 
 
@@ -491,7 +471,7 @@ def test_the_buttons_do_what_they_say(browser, tmp_path):
         page.wait_for_selector("#watch-pause:has-text('Pause')")
         page.click("[data-view=color]")
         page.check("#watch-elsewhere")
-        set_slider(page, "focus", 1200)
+        page.fill("#watch-focus", "1200")
         page.locator("#watch-focus").dispatch_event("change")
         until(lambda: live.view.focus == (1200.0, 2.0))
         page.uncheck("#watch-elsewhere")

@@ -24,12 +24,11 @@ def cropping(camera, origin_px):
 @pytest.fixture(scope="module")
 def whole():
     camera, image = open_sample(SAMPLES[0], quality="real-time")
-    return camera, image, camera.measure(image)
+    return camera, image, camera.measure(image), cropping(camera, (LEFT, TOP)).measure(image[PART])
 
 
 def test_a_part_is_measured_as_in_the_whole_photograph(whole):
-    camera, image, frame = whole
-    part = cropping(camera, (LEFT, TOP)).measure(image[PART])
+    _, image, frame, part = whole
     assert part.depth_mm.shape == part.image.shape[:2] == (HEIGHT, WIDTH)
     inside = np.s_[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
     off_px = np.abs(part.disparity_px - frame.disparity_px[PART])[inside]
@@ -45,11 +44,9 @@ def test_a_part_is_measured_as_in_the_whole_photograph(whole):
 
 
 def test_points_of_a_part_lie_on_the_rays_of_the_frame(whole):
-    camera, image, frame = whole
-    part = cropping(camera, (LEFT, TOP)).measure(image[PART])
-    calibration = frame.calibration
+    *_, frame, part = whole
     points = part.points(max_relative_sigma=np.inf).points_mm.astype(float)
-    lens = calibration.lens
+    lens = frame.calibration.lens
     pixels = cv2.projectPoints(points, np.zeros(3), np.zeros(3), lens.camera_matrix, lens.distortion)[0][:, 0]
     v, u = np.nonzero(np.isfinite(part.depth_mm) & np.isfinite(part.sigma_mm))
     np.testing.assert_allclose(pixels, np.stack([u + LEFT, v + TOP], axis=1), atol=5e-3)

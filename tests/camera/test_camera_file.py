@@ -2,18 +2,15 @@
 
 import dataclasses
 import re
-import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from chromaperture.camera.camera import load_camera
 from chromaperture.capture.files import read_image
 from chromaperture.depth.field import DepthField, LocalField
-from chromaperture.model.camera_file import FORMAT_VERSION, Calibration
+from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import Board, CameraSensor, Film, Lens
 from chromaperture.optics.pinhole import centered_pinhole
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
@@ -101,16 +98,6 @@ def test_the_focus_is_called_infinity_from_100_m_on(infinity_px, text):
     assert calibration.in_focus_text == text
 
 
-@pytest.mark.parametrize("name", SAMPLES)
-def test_bundled_cameras_are_sound(name):
-    calibration = Calibration.load(sample_camera(name))
-    summary = calibration.summary()
-    # The lens the captures were traced through: 50.34 mm, pupil 49.5 mm before the sensor, focused near 2 m.
-    assert summary["focal_length_mm"] == pytest.approx(50.34, rel=0.01)
-    assert summary["sensor_to_pupil_mm"] == pytest.approx(49.5, abs=5)
-    assert summary["in_focus_mm"] == pytest.approx(2000, abs=80)
-
-
 # Curves in the middle of the frame as the release of that file read them: A px, B px mm, their standard deviations, and
 # the range px and the sum of the coefficients px of the nonlinearity.
 OLD_CURVES = {
@@ -148,27 +135,14 @@ def test_a_camera_file_of_november_2026_opens_and_measures():
     assert np.isfinite(depth_mm).mean() > 0.9
 
 
-def test_newer_format_asks_for_an_upgrade(tmp_path):
-    path = tmp_path / "camera.asdf"
-    make_calibration().save(path)
-    text = path.read_text(encoding="utf-8")
-    path.write_text(text.replace(f"format_version: {FORMAT_VERSION}", "format_version: 99"), encoding="utf-8")
-    with pytest.raises(InputError, match="upgrade"):
-        Calibration.load(path)
-
-
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        (r"focal_length_mm: 50.3", "focal_length_mm: -1"),
-        (r"focal_length_mm: 50.3", "focal_length_mm: .nan"),
         (r"scale_px_mm: \[8700.0\]", "scale_px_mm: [-8700.0]"),
-        (r"scale_px_mm: \[8700.0\]", "scale_px_mm: [1, 2]"),
         (r"scale_px_mm: \[8700.0\]", "scale_px_mm: [8700.0, 1, 2]"),
         (r"scale_px_mm: \[8700.0\]", "scale_px_mm: []"),
         (r"design: cy_halves", "design: cy_thirds"),
         (r"design: cy_halves", "design: rgb_squares"),
-        (r"width_px: 9", "width_px: wide"),
         (r"near_mm: 900.0", "near_mm: 9000.0"),
         (r"format_version: \d+\n", ""),
         (r"yellow: \[[^]]*\]", "yellow: [0.09, 0.57, 0.59]"),
@@ -187,35 +161,9 @@ def test_nonsense_is_refused_in_one_line(tmp_path, old, new):
     assert "\n" not in str(error.value)
 
 
-def test_missing_file_says_how_to_make_one(tmp_path):
-    with pytest.raises(InputError, match="calibrate"):
-        Calibration.load(tmp_path / "none.asdf")
-
-
 def test_saving_leaves_nothing_half_written(tmp_path):
     path = tmp_path / "camera.asdf"
     broken = make_calibration(provenance={"unreadable": object()})
     with pytest.raises(Exception, match="object"):
         broken.save(path)
     assert list(tmp_path.iterdir()) == []
-
-
-@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(cut=st.floats(0, 1), flips=st.lists(st.tuples(st.floats(0, 0.999), st.integers(0, 255)), max_size=5))
-def test_damaged_files_load_whole_or_are_refused(tmp_path, cut, flips):
-    good = tmp_path / "good.asdf"
-    if not good.exists():
-        make_calibration("free").save(good)
-    data = bytearray(good.read_bytes())
-    for place, value in flips:
-        data[int(place * len(data))] = value
-    path = tmp_path / "damaged.asdf"
-    path.write_bytes(data[: int(cut * len(data))])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            calibration = Calibration.load(path)
-        except InputError as error:
-            assert "\n" not in str(error)
-        else:
-            assert calibration.summary()["scale_px_mm"] > 0

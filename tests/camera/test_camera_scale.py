@@ -10,7 +10,7 @@ import pytest
 
 from chromaperture.capture.picture_header import same_frame
 from chromaperture.color.noise import photon_noise_variance
-from chromaperture.depth.conversion import DepthModel, disparity_to_depth
+from chromaperture.depth.conversion import disparity_to_depth
 from chromaperture.depth.field import DepthField, LocalField
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.model.camera_file import Calibration
@@ -62,13 +62,6 @@ def test_depth_of_a_reduced_pixel_is_that_of_the_full_camera_there():
         # The covariance of the nonlinearity is averaged over the pixels asked for, the same ones here: float32 is left.
         for a, b in zip(found, expected, strict=True):
             np.testing.assert_allclose(a, b, rtol=2e-6)
-
-
-def test_a_constant_curve_is_divided():
-    made = halves_camera(DepthModel(8.0, 16000.0, 50.0, np.diag([1e-4, 9.0, 4.0])), W, H)
-    model = at_scale(made, S).depth_model("paper")
-    assert (model.infinity_disparity_px, model.scale_px_mm, model.sensor_to_pupil_mm) == (2.0, 4000.0, 50.0)
-    np.testing.assert_allclose(model.covariance, np.diag([1e-4 / 16, 9.0 / 16, 4.0]))
 
 
 def test_points_project_to_the_same_place():

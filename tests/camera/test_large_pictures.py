@@ -67,14 +67,10 @@ def test_at_a_working_scale_the_answer_is_that_of_the_small_camera(full, photogr
     assert np.nanmedian(frame.disparity_px) == pytest.approx(SCALE * np.nanmedian(there.disparity_px), rel=0.01)
 
 
-def test_depth_at_a_working_scale_is_true(full, photograph):
+def test_depth_at_a_working_scale_is_true_and_colour_is_aligned_at_every_pixel(full, photograph):
     frame = CodedApertureCamera(full, default_config(full, "real-time", scale=SCALE)).measure(photograph)
     # The matcher places flat boards of ideal texture to 0.02 working px, here 2 mm; 1 % allows the texture's own.
     assert np.nanmedian(frame.depth_mm) == pytest.approx(DEPTH_MM, rel=0.01)
-
-
-def test_colour_is_aligned_at_every_pixel(full, photograph):
-    frame = CodedApertureCamera(full, default_config(full, "real-time", scale=SCALE)).measure(photograph)
     inside = np.s_[64:-64, 64:-64]
     before, after = (np.abs(p[..., 0] - p[..., 2])[inside].mean() for p in (photograph, frame.color))
     assert after < 0.1 * before  # the wall is grey
@@ -122,23 +118,24 @@ def test_a_portrait_by_exif_is_read_as_the_sensor_recorded_it(tmp_path, orientat
     pixels = np.random.default_rng(1).integers(0, 255, (32, 48, 3), dtype=np.uint8)
     exif = Image.Exif()
     exif[0x0112] = orientation
-    Image.fromarray(pixels).save(tmp_path / "plain.png")
-    Image.fromarray(pixels).save(tmp_path / "portrait.png", exif=exif)
-    Image.fromarray(pixels).save(tmp_path / "portrait.tif", exif=exif)
-    for name in ("portrait.png", "portrait.tif"):
-        np.testing.assert_array_equal(read_image(tmp_path / name), read_image(tmp_path / "plain.png"))
+    for suffix in ("png", "tif", "jpg"):
+        options = {"quality": 95, "subsampling": 0} if suffix == "jpg" else {}
+        Image.fromarray(pixels).save(tmp_path / f"plain.{suffix}", **options)
+        Image.fromarray(pixels).save(tmp_path / f"portrait.{suffix}", exif=exif, **options)
+        found, plain = (read_image(tmp_path / f"{name}.{suffix}") for name in ("portrait", "plain"))
+        np.testing.assert_array_equal(found, plain)
 
 
 def test_a_picture_beyond_the_memory_is_refused_before_it_is_read(full, tmp_path, monkeypatch):
-    large = replace(full, sensor=replace(full.sensor, width_px=12288, height_px=8192))
+    large = replace(full, sensor=replace(full.sensor, width_px=3072, height_px=2048))
     config = default_config(large, "real-time", scale=1)
-    assert needed_bytes(large, config) > 12e9 > needed_bytes(large, config, scale=2)
+    assert needed_bytes(large, config) > 1.2e9 > needed_bytes(large, config, scale=2)
     for module in (memory, camera_memory):
-        monkeypatch.setattr(module, "available_bytes", lambda: 12e9)
+        monkeypatch.setattr(module, "available_bytes", lambda: 1.2e9)
     camera = CodedApertureCamera(large, config)
     with pytest.raises(
         OutOfMemoryError,
-        match=r"photo.png, 101 megapixels at scale 1/1: not enough memory: .* 12.0 GB free; match at .*\(--scale 1/2\)",
+        match=r"photo.png, 6.29 megapixels at scale 1/1: not enough memory: .* 1.2 GB free; match at .*\(--scale 1/2\)",
     ):
         camera.read(tmp_path / "photo.png")  # there is no such file: nothing was opened
 
@@ -185,7 +182,7 @@ def test_scales_of_real_sensors(full):
     assert working_scale(full) == 1
 
 
-@pytest.mark.parametrize("width_px", [720, 840, 960, 1200, 1440, 2000, 6000])
+@pytest.mark.parametrize("width_px", [720, 960, 1440, 6000])
 def test_accurate_matches_as_many_pixels_of_blur_at_every_size(width_px):
     """The same lens and sensor with other pixels; the widest blur of 720 px is 14 px."""
     factor = width_px / 720

@@ -10,7 +10,6 @@ import json
 import pickle
 import re
 import shutil
-import subprocess
 import sys
 import types
 import warnings
@@ -77,14 +76,6 @@ def test_type_checkers_see_the_names_that_exist():
     assert set(seen) == set(cap.__all__)
     for name, module in seen.items():
         assert getattr(import_module(module), name) is getattr(cap, name), name
-
-
-def test_importing_the_package_loads_no_library():
-    code = (
-        "import sys, chromaperture; print(sorted({'numpy', 'numba', 'cv2', 'asdf', 'matplotlib'} & set(sys.modules)))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
 
 
 def test_a_path_is_measured_with_the_cameras_levels(camera, frame):
@@ -159,8 +150,11 @@ def test_show_draws_three_maps_in_pixels_of_the_photograph(frame):
 
 
 def test_save_writes_the_files_of_the_command_line(frame, run, tmp_path):
-    image = shutil.copy(cap.sample_image(SAMPLE), tmp_path / "photo.png")
-    assert run("depth", image, "--camera", cap.sample_camera(SAMPLE), "--out", tmp_path / "a", "-q").returncode == 0
+    (tmp_path / "a").mkdir()
+    image = shutil.copy(cap.sample_image(SAMPLE), tmp_path / "a" / "photo.png")
+    result = run("depth", image, "--camera", cap.sample_camera(SAMPLE), "-q")  # beside the image
+    assert (result.returncode, result.stdout) == (0, ""), result.stderr
+    image.unlink()
     saved = frame.save(tmp_path / "b" / "photo")
     assert sorted(p.name for p in saved) == sorted(p.name for p in (tmp_path / "a").iterdir())
     assert sorted(p.name for p in saved) == sorted(f"photo{o.suffix}" for o in OUTPUTS.values() if o.by_default)
@@ -190,17 +184,7 @@ def test_unknown_outputs_are_one_line_before_the_work(run, tmp_path):
         assert len(done.stderr.strip().splitlines()) == 1
         for name in OUTPUTS:
             assert name in done.stderr
-    done = run("depth", image, "--design", "cy_halves", "--out", tmp_path / "a", "--write", "depth,color")
-    assert done.returncode == 2
-    assert "calibrated" in done.stderr
     assert not (tmp_path / "a").exists()
-
-
-def test_the_help_names_every_output(run, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "250")  # no line is broken
-    said = run("depth", "--help").stdout
-    for by_default in (True, False):
-        assert ", ".join(name for name, o in OUTPUTS.items() if o.by_default == by_default) in said
 
 
 def photographs(folder, count=3):

@@ -29,7 +29,6 @@ from worlds import mosaic_of, write_dng
 needs_rawpy = pytest.mark.extra("raw", "rawpy")
 SAMPLE = "still_life_cy_halves"
 CAMERA = cap.sample_camera(SAMPLE)
-IDENTITY = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +39,9 @@ def sites():
 
 def write_behind_preview(path, sites):
     """A DNG as makers build it: a small picture first, the mosaic in a sub-picture."""
+    identity = (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1)
     head = [(274, "H", 1, 8, True), (272, "s", 0, "Test 5\0", False), (50706, "B", 4, bytes([1, 4, 0, 0]), False),
-            (50708, "s", 0, "Test 5\0", False), (50721, "2i", 9, IDENTITY, False)]  # fmt: skip
+            (50708, "s", 0, "Test 5\0", False), (50721, "2i", 9, identity, False)]  # fmt: skip
     below = [(33421, "H", 2, (2, 2), False), (33422, "B", 4, bytes([0, 1, 1, 2]), False),
              (50714, "H", 1, 16, False), (50717, "I", 1, 1016, False)]  # fmt: skip
     preview = np.full((sites.shape[0] // 8, sites.shape[1] // 8, 3), 90, np.uint8)
@@ -145,14 +145,9 @@ def quad_of(sites):
 
 
 @needs_rawpy
-@pytest.mark.parametrize("tagged", [2, 4])
-def test_a_quad_bayer_mosaic_is_named(run, tmp_path, sites, tagged):
-    four = bytes([0, 0, 1, 1] * 2 + [1, 1, 2, 2] * 2)
-    write_dng(tmp_path / "a.dng", quad_of(sites), black=(16,), white=1016)
-    if tagged == 4:
-        tags = [(33421, "H", 2, (4, 4), False), (33422, "B", 16, four, False),
-                (50706, "B", 4, bytes([1, 4, 0, 0]), False), (50721, "2i", 9, IDENTITY, False)]  # fmt: skip
-        tifffile.imwrite(tmp_path / "a.dng", quad_of(sites), photometric=32803, extratags=tags, metadata=None)
+@pytest.mark.parametrize("pattern", ["RGGB", "RRGGRRGGGGBBGGBB"])
+def test_a_quad_bayer_mosaic_is_named(run, tmp_path, sites, pattern):
+    write_dng(tmp_path / "a.dng", quad_of(sites), pattern=pattern, black=(16,), white=1016)
     line = refused(run, "depth", tmp_path / "a.dng", "--camera", CAMERA, "-o", tmp_path / "out")
     assert re.search("a.dng is a Quad-Bayer mosaic.*binned RAW", line)
     assert not (tmp_path / "out").exists()
@@ -169,7 +164,7 @@ def test_grey_and_coloured_bayer_mosaics_are_not_taken_for_quad(tmp_path, rng, l
     assert decode(tmp_path / "a.dng").array.shape == (64, 96, 3)
 
 
-X_TRANS = bytes(int(c) for c in "102120" "211011" "011211" "120102" "011211" "211011")  # fmt: skip
+X_TRANS = "GRBGBR" "BGGRGG" "RGGBGG" "GBRGRB" "RGGBGG" "BGGRGG"  # fmt: skip
 
 
 @needs_rawpy
@@ -185,17 +180,13 @@ X_TRANS = bytes(int(c) for c in "102120" "211011" "011211" "120102" "011211" "21
 )
 def test_other_kinds_of_raw_are_named_with_what_to_do(run, tmp_path, sites, kind, said):
     path = tmp_path / "a.dng"
-    write_dng(path, sites)
-    if kind == "x-trans":
-        tags = [(33421, "H", 2, (6, 6), False), (33422, "B", 36, X_TRANS, False),
-                (50706, "B", 4, bytes([1, 4, 0, 0]), False), (50721, "2i", 9, IDENTITY, False)]  # fmt: skip
-        tifffile.imwrite(path, sites, photometric=32803, extratags=tags, metadata=None)
-    elif kind == "foveon":
+    write_dng(path, sites, pattern=X_TRANS if kind == "x-trans" else "RGGB")
+    if kind == "foveon":
         path.write_bytes(b"FOVb" + bytes(999))
     elif kind == "linear":
         tags = [(50706, "B", 4, bytes([1, 4, 0, 0]), False)]
         tifffile.imwrite(path, sites[:96, :96].reshape(96, 32, 3), photometric=34892, extratags=tags, metadata=None)
-    else:
+    elif kind in ("lossy", "jpeg xl"):
         patched(path, 259, 34892 if kind == "lossy" else 52546)
     line = refused(run, "depth", path, "--design", "cy_halves", "-o", tmp_path / "out")
     assert re.search(said, line), line

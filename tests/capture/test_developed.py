@@ -20,7 +20,7 @@ from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 from profiles import SRGB, icc, parametric
-from worlds import write_dng
+from worlds import session_of, write_dng
 
 # Camera colours to sRGB, white to white: that of a Canon EOS 5D Mark II by its DNG matrix (Adobe, D65).
 MATRIX = np.array([[2.07, -1.32, 0.25], [-0.04, 1.37, -0.33], [0.04, -0.38, 1.34]])
@@ -90,17 +90,14 @@ def test_white_sheets_show_what_a_matrix_cut_off(session, tmp_path, matrix):
 
 
 def test_a_cameras_jpeg_files_are_named_once(session, tmp_path):
-    folder = tmp_path / "session"
-    shutil.copytree(session, folder)
     exif = Image.Exif()
     exif[0x0110] = "Test 5"
-    for picture in folder.rglob("*.png"):
-        light = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)[..., ::-1] / 65535
-        codes = np.rint(255 * linear_to_srgb(light)).astype(np.uint8)
-        Image.fromarray(codes).save(picture.with_suffix(".jpg"), quality=95, subsampling=0, exif=exif)
-        picture.unlink()
-    table = (folder / "distances.csv").read_text().replace(".png", ".jpg")
-    (folder / "distances.csv").write_text(table)
+
+    def write(path, counts):
+        codes = np.rint(255 * linear_to_srgb(counts / 65535)).astype(np.uint8)
+        Image.fromarray(codes).save(path, quality=95, subsampling=0, exif=exif)
+
+    folder = session_of(session, tmp_path / "session", ".jpg", write)
     found = measure_white_sheets(read_session(folder))
     assert found.developed is True
     assert sum("colour matrix" in note for note in found.notes) == 1

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import struct
 import zlib
 
 import cv2
@@ -17,16 +16,9 @@ from chromaperture.color.encoding import Encoding
 from chromaperture.files.pictures import encode_png
 from chromaperture.system.errors import InputError
 from chromaperture.system.memory import RowsOnDemand
+from worlds import png_of
 
 SHAPES = [(1, 1, 3), (7, 5), (7, 5, 3), (300, 2000, 3), (700, 1300), (1, 900_000), (1000, 1, 3)]  # of 1 to 8 strips
-FILTERS = {
-    "none": cv2.IMWRITE_PNG_FILTER_NONE,
-    "left": cv2.IMWRITE_PNG_FILTER_SUB,
-    "above": cv2.IMWRITE_PNG_FILTER_UP,
-    "mean": cv2.IMWRITE_PNG_FILTER_AVG,
-    "nearest": cv2.IMWRITE_PNG_FILTER_PAETH,
-    "all": cv2.IMWRITE_PNG_ALL_FILTERS,
-}
 
 
 def walk(rng, shape):
@@ -64,14 +56,6 @@ def test_rows_that_are_made_on_demand_are_encoded_as_their_picture(rng):
     assert encode_png(rows) == encode_png(picture)
 
 
-def png_of(rows: bytes, width: int, height: int) -> bytes:
-    def chunk(name, content):
-        return struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
-
-    header = struct.pack(">IIBBBBB", width, height, 16, 2, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
-
-
 @pytest.mark.parametrize(
     "rows",
     [
@@ -82,6 +66,6 @@ def png_of(rows: bytes, width: int, height: int) -> bytes:
     ],
 )
 def test_damaged_rows_are_one_line(tmp_path, rows):
-    (tmp_path / "a.png").write_bytes(png_of(rows, 4, 4))
+    (tmp_path / "a.png").write_bytes(png_of(4, 4, rows, bits=16))
     with pytest.raises(InputError, match=r"^a\.png is damaged"):
         read_image(tmp_path / "a.png")

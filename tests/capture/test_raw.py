@@ -23,12 +23,12 @@ from chromaperture.calibration.session import read_session
 from chromaperture.calibration.white_sheets import measure_white_sheets
 from chromaperture.capture import raw as raw_files
 from chromaperture.capture.exif import read_model, read_noise_profile
-from chromaperture.capture.files import decode, format_of, read_image
+from chromaperture.capture.files import decode, format_of
 from chromaperture.capture.raw import check_complete
 from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import SAMPLES, sample_camera, sample_image
 from chromaperture.system.errors import InputError
-from worlds import INFINITY_PX, PUPIL_MM, SCALE_PX_MM, mosaic_of, write_dng
+from worlds import INFINITY_PX, PUPIL_MM, SCALE_PX_MM, mosaic_of, session_of, write_dng
 
 needs_rawpy = pytest.mark.extra("raw", "rawpy")
 LIGHT = {"R": 1000, "G": 2000, "B": 3000}
@@ -62,16 +62,6 @@ def test_a_border_of_odd_size_moves_the_pattern(tmp_path, monkeypatch):
     counts, _ = raw_files.read_raw(tmp_path / "a.cr2")
     assert counts.shape == (31, 45, 3)
     assert (counts == 2 * np.array(list(LIGHT.values()))).all()
-
-
-@needs_rawpy
-def test_every_channel_has_its_black_level(tmp_path):
-    black = np.array([[100, 220], [310, 400]])
-    mosaic = (even_light("RGGB") + np.tile(black, (32, 48))).astype(np.uint16)
-    write_dng(tmp_path / "a.dng", mosaic, black=tuple(black.ravel().tolist()), white=4000)
-    light = read_image(tmp_path / "a.dng")
-    expected = np.array(list(LIGHT.values())) / (4000 - black.mean())  # a channel's own white is not in the file
-    np.testing.assert_allclose(light, np.broadcast_to(expected, light.shape), rtol=1e-6)  # float32
 
 
 @pytest.mark.parametrize(("stated", "white"), [([15360] * 4, 15360), ([0] * 4, 16383), (None, 16383)])
@@ -208,20 +198,12 @@ def test_another_program_reads_the_noise_that_the_tests_write(tmp_path):
 @needs_rawpy
 def test_without_sheets_the_noise_is_that_of_the_file(session, tmp_path):
     """The variance is S light + O: a full well of 1 / S electrons, and a read noise of the root of O times that."""
-    folder = tmp_path / "session"
-    shutil.copytree(session, folder)
+    noise = (1 / 5000, (4 / 5000) ** 2)
+    folder = session_of(session, tmp_path / "session", ".dng", lambda path, counts: write_dng(
+        path, mosaic_of(counts), black=(100,), white=60100, noise_profile=noise))  # fmt: skip
     text = (folder / "session.toml").read_text()
     kept = [line for line in text.splitlines() if not line.startswith(("full_well", "read_noise"))]
     (folder / "session.toml").write_text("\n".join(kept) + "\n")
-    for picture in folder.rglob("*.png"):
-        counts = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)[..., ::-1]
-        write_dng(
-            picture.with_suffix(".dng"), mosaic_of(counts), black=(100,), white=60100,
-            noise_profile=(1 / 5000, (4 / 5000) ** 2),
-        )  # fmt: skip
-        picture.unlink()
-    table = (folder / "distances.csv").read_text().replace(".png", ".dng")
-    (folder / "distances.csv").write_text(table)
     shutil.rmtree(folder / "white")
     found = measure_white_sheets(read_session(folder))
     assert found.sensor.full_well_electrons == pytest.approx(5000.0)
@@ -232,14 +214,8 @@ def test_without_sheets_the_noise_is_that_of_the_file(session, tmp_path):
 @pytest.mark.slow
 @needs_rawpy
 def test_a_session_of_raw_files_gives_the_cameras_curve_and_its_model(session, tmp_path):
-    folder = tmp_path / "session"
-    shutil.copytree(session, folder)
-    for picture in folder.rglob("*.png"):
-        counts = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)[..., ::-1]
-        write_dng(picture.with_suffix(".dng"), mosaic_of(counts), black=(100,), white=60100, model="Test 5")
-        picture.unlink()
-    table = (folder / "distances.csv").read_text().replace(".png", ".dng")
-    (folder / "distances.csv").write_text(table)
+    folder = session_of(session, tmp_path / "session", ".dng", lambda path, counts: write_dng(
+        path, mosaic_of(counts), black=(100,), white=60100, model="Test 5"))  # fmt: skip
     result = calibrate_session(folder, CalibrationConfig(lens_blur=False))
     assert result.calibration.provenance["camera_model"] == "Test 5"
     for fit in result.fits.values():

@@ -161,17 +161,6 @@ def test_photographs(tmp_path, camera, rng, suffix):
     assert 'siting = "centre"' in wrong.advice
 
 
-@pytest.mark.parametrize("stated", [None, "left", "centre"])
-def test_clips(tmp_path, camera, rng, stated):
-    paths = [tmp_path / f"{name}.mp4" for name in ("neutral", "orange")]
-    for path, colour in zip(paths, (GREY, ORANGE), strict=True):
-        planes = noisy(planes_of(colour, (2, 2), "centre", full=False), rng, 2.0)
-        clip(path, "libx264", "yuv420p", planes, code=5, options={"crf": "12"})
-    found = check_siting(*paths, stating(camera, stated))
-    assert found.verdict == ("ok" if stated == "centre" else "warn")
-    assert found.figures["error_x_px"] == pytest.approx(0 if stated == "centre" else -0.5, abs=0.1)
-
-
 @pytest.fixture
 def left_sited(tmp_path):
     """A clip of each print whose chroma lies at the left, without loss, and as PNG."""

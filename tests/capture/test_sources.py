@@ -21,7 +21,6 @@ from chromaperture.capture.source import FileSource, Frame
 from chromaperture.capture.threaded_source import DeviceLostError, LiveSource, StreamEndedError, played
 from chromaperture.color.encoding import Encoding
 from chromaperture.system.errors import CaptureWarning, InputError, MissingDependencyError
-from worlds import write_dng
 
 # Older PyGObject has an importer of the old kind.
 pytestmark = pytest.mark.filterwarnings("ignore:DynamicImporter:ImportWarning")
@@ -121,14 +120,6 @@ def test_settings_follow_the_path_of_pictures(tmp_path, where):
         assert len(list(source)) == 3  # loop=0 is what comes without it
 
 
-def test_pictures_are_played_in_a_loop(tmp_path):
-    for n in range(2):
-        write(tmp_path / f"{n}.png", picture(n))
-    with open_source(f"{tmp_path}?fps=200&loop=1", white_level=1000) as source:
-        assert source.live
-        assert any(frame.index > 3 for frame in source)
-
-
 def test_a_file_whose_name_looks_like_settings_is_read(tmp_path):
     path = write(tmp_path / "a?fps=5.png", picture())
     with open_source(str(path), white_level=1000) as source:
@@ -145,26 +136,6 @@ def test_odd_files_in_a_folder_are_said_and_skipped(tmp_path):
     with open_source(str(tmp_path), listener=events.append, white_level=1000) as source:
         assert [f.index for f in source] == [0, 3, 4]
     assert [e.kind for e in events] == ["size", "skipped", "dark"]
-
-
-def test_a_video_gives_its_frames_in_order(tmp_path):
-    path = str(tmp_path / "clip.mkv")
-    clip = cv2.VideoWriter(path, cv2.VideoWriter_fourcc(*"FFV1"), 10.0, (64, 48))
-    if not clip.isOpened():
-        pytest.skip("this OpenCV writes no FFV1")
-    levels = [60, 120, 180]
-    for level in levels:
-        clip.write(np.full((48, 64, 3), (level, 40, 200), np.uint8))
-    clip.release()
-    with open_source(path) as source:
-        frames = list(source)
-    assert [f.time_s for f in frames] == pytest.approx([0.0, 0.1, 0.2])  # milliseconds in the file
-    with open_source(f"{path}?fps=5&white_level=200") as source:
-        slow = list(source)
-    assert [f.time_s for f in slow] == [0.0, 0.2, 0.4]
-    assert slow[0].encoding == Encoding(0, 200)
-    for frame, level in zip(frames, levels, strict=True):  # conversion to YUV and back may err by 2 counts
-        assert np.abs(frame.counts.astype(int) - (200, 40, level)).max() <= 2
 
 
 @pytest.mark.parametrize(
@@ -245,25 +216,6 @@ def test_a_slow_reader_gets_the_newest_frame_and_the_rest_is_counted():
     assert dropped > 8
     assert taken == sorted(set(taken))
     assert camera.closed
-
-
-def test_an_unplugged_camera_is_found_again():
-    events, cameras = [], [Camera(lasts=3), None, None, Camera(lasts=10**6)]
-
-    def connect():
-        camera = cameras.pop(0)
-        if camera is None:
-            raise InputError("not there")
-        return camera
-
-    first = cameras[0]
-    with LiveSource("test", connect, listener=events.append, retry_s=0.01) as source:
-        for frame in source:
-            if len(events) == 2 and frame.index > 5:
-                break
-    assert [e.kind for e in events] == ["lost", "reconnected"]
-    assert first.closed
-    assert cameras == []
 
 
 def test_a_silent_camera_counts_as_lost():
@@ -366,17 +318,6 @@ def require_aravis() -> None:
         gi.require_version("Aravis", "0.8")
     except ValueError:
         pytest.skip("Debian's gir1.2-aravis-0.8 is not installed")
-
-
-@pytest.mark.extra("raw", "rawpy")
-def test_a_raw_file_gives_its_photosites(tmp_path):
-    cells = np.random.default_rng(3).integers(200, 4000, (64, 96)).astype(np.uint16)
-    write_dng(tmp_path / "photo.dng", cells, pattern="GRBG", black=(64,))
-    with open_source(str(tmp_path / "photo.dng")) as source:
-        (frame,) = list(source)
-    expected, encoding = superpixels(cells, "GRBG", black_level=64, white_level=4095)
-    np.testing.assert_array_equal(frame.counts, expected)
-    assert frame.encoding == encoding
 
 
 @pytest.mark.extra("cameras", "gi")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import socket
 import struct
 import threading
 import time
@@ -12,6 +11,7 @@ import time
 import numpy as np
 import pytest
 
+from apps import free_port
 from chromaperture.products.foxglove_stream import FoxgloveStream, address
 from chromaperture.products.mcap import write_mcap
 from chromaperture.products.rectified import View, encoded_depth
@@ -167,9 +167,7 @@ def test_a_client_of_the_protocol_receives_what_was_sent():
 def test_the_live_command_streams_what_it_measures(run, tmp_path):
     image, camera = sample_image(SAMPLE), sample_camera(SAMPLE)
     assert run("record", image, "--out", tmp_path / "walk", "-q").returncode == 0
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = free_port()
     found = {}
 
     def client():
@@ -216,28 +214,60 @@ def test_wrong_addresses_are_refused(text):
         address(text)
 
 
-@pytest.mark.extra("ros", "mcap")
-@pytest.mark.extra("readers", "rosbags")
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_exported_messages_are_those_of_ros(tmp_path):
-    """Decoded by another library with ROS's own definitions, not with those in the file."""
+def by_the_files_definitions(path):
+    """Topics and messages, decoded with the schemas in the file."""
+    from mcap_ros2.reader import read_ros2_messages
+
+    return [(message.channel.topic, message.ros_msg) for message in read_ros2_messages(str(path))]
+
+
+def by_ros_own_definitions(path):
     from mcap.reader import make_reader
     from rosbags.typesys import Stores, get_typestore
 
-    path, expected = tmp_path / "a.mcap", view()
-    write_mcap(path, [expected], camera_matrix=MATRIX)
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    found = {}
+    store, found = get_typestore(Stores.ROS2_HUMBLE), []
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages():
             assert channel.message_encoding == "cdr"
-            found[channel.topic] = store.deserialize_cdr(message.data, schema.name)
-    depth, info = found["/camera/depth/image_rect"], found["/camera/depth/camera_info"]
-    assert (depth.encoding, depth.height, depth.width, depth.is_bigendian) == ("16UC1", 6, 8, 0)
-    assert depth.data.view("<u2").reshape(6, 8)[3, 3] == 1234
-    assert (depth.header.stamp.sec, depth.header.stamp.nanosec) == (1_750_000_000, 125_000_000)
-    assert depth.header.frame_id == "camera_optical_frame"
-    np.testing.assert_array_equal(info.k.reshape(3, 3), MATRIX)
-    assert info.distortion_model == "plumb_bob"
-    np.testing.assert_array_equal(found["/camera/color/image_rect"].data.reshape(6, 8, 3), expected.color)
-    np.testing.assert_array_equal(found["/camera/sigma/image_rect"].data.view("<f4"), expected.sigma_mm.ravel() / 1000)
+            found.append((channel.topic, store.deserialize_cdr(message.data, schema.name)))
+    return found
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        pytest.param(by_the_files_definitions, marks=pytest.mark.extra("ros", "mcap_ros2")),
+        pytest.param(by_ros_own_definitions, marks=pytest.mark.extra("readers", "rosbags")),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_exported_messages_are_read_by_other_libraries(tmp_path, read):
+    path, sent = tmp_path / "a.mcap", [view(), view(1.75e9 + 0.25)]
+    assert write_mcap(path, sent, camera_matrix=MATRIX) == 2
+    parts, found = ("color", "depth", "sigma", "confidence"), {}
+    for topic, message in read(path):
+        found.setdefault(topic, []).append(message)
+    assert sorted(found) == sorted(f"/camera/{p}/{n}" for p in parts for n in ("camera_info", "image_rect"))
+    for i, expected in enumerate(sent):
+        color, depth, sigma, confidence = (found[f"/camera/{part}/image_rect"][i] for part in parts)
+        assert (color.encoding, depth.encoding, sigma.encoding, confidence.encoding) == (
+            "rgb8", "16UC1", "32FC1", "32FC1")  # fmt: skip
+        assert (depth.height, depth.width, depth.step, depth.is_bigendian, sigma.step) == (6, 8, 16, 0, 32)
+        assert depth.header.frame_id == "camera_optical_frame"
+        mm, bars, shares = (
+            np.frombuffer(bytes(part.data), kind).reshape(6, 8)
+            for part, kind in ((depth, "<u2"), (sigma, "<f4"), (confidence, "<f4"))
+        )
+        assert mm[0].tolist() == [0, 0, 1234, 0, *[1234] * 4]  # unknown, too far, and too uncertain
+        assert (mm[1:] == 1234).all()
+        np.testing.assert_array_equal(bars, expected.sigma_mm / 1000)
+        np.testing.assert_array_equal(shares, expected.confidence)
+        np.testing.assert_array_equal(np.frombuffer(bytes(color.data), np.uint8).reshape(6, 8, 3), expected.color)
+        info = found["/camera/depth/camera_info"][i]
+        np.testing.assert_array_equal(np.reshape(info.k, (3, 3)), MATRIX)
+        assert info.distortion_model == "plumb_bob"
+        for stamp in (depth.header.stamp, info.header.stamp):
+            assert (stamp.sec, stamp.nanosec) == (1_750_000_000, 125_000_000 * (i + 1))
+    with pytest.raises(InputError, match="no frame"):
+        write_mcap(tmp_path / "none.mcap", [], camera_matrix=MATRIX)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from chromaperture.app.live.loop import LiveLoop, RareNotices, forget_old
-from chromaperture.app.live.slots import Slot
+from chromaperture.app.live.view import LiveView
 from chromaperture.app.live.watchdog import Watchdog
 from chromaperture.camera.camera import load_camera
 from chromaperture.capture import threaded_source
@@ -105,18 +105,19 @@ def lines_of(stage: str, said: list[str]) -> list[str]:
     return [line for line in said if line.startswith(f"{stage} ")]
 
 
-def test_a_source_that_hangs_is_named_once_and_so_is_its_return():
+def test_a_source_that_hangs_is_named_once_and_so_is_its_return(tmp_path):
     source = Camera()
     with watched(source) as (loop, said):
         until(lambda: loop.meters["depth"].count > 3)
         source.gate.clear()
         until(lambda: lines_of("source", said))
-        assert "source has not finished for" in loop.latest  # what the page shows
-        assert loop.watchdog.hanging()[0].startswith("source has not finished for")
+        view = LiveView(loop, out=tmp_path)  # what the page shows
+        assert view.state()["hanging"][0].startswith("source has not finished for")
         assert len(lines_of("source", said)) == 1
         source.gate.set()
         until(lambda: len(lines_of("source", said)) == 2)
         assert "source went on after" in lines_of("source", said)[1]
+        assert view.state()["hanging"] == []
         measured = loop.meters["depth"].count
         until(lambda: loop.meters["depth"].count > measured + 3)  # nothing was ended
 
@@ -152,28 +153,6 @@ def test_a_watchdog_without_end_says_nothing_and_one_without_patience_is_refused
     for seconds in (0, -1, float("nan")):
         with pytest.raises(InputError, match="--watchdog-seconds"):
             Watchdog(seconds)
-
-
-@pytest.mark.extra("serve", "starlette")
-def test_the_page_names_the_stage_that_hangs_although_no_frame_comes(tmp_path):
-    from chromaperture.app.live.page import LivePage
-    from test_live_page import post
-
-    source = Camera()
-    with watched(source) as (loop, _):
-        page = LivePage(loop, host="127.0.0.1", port=0, out=tmp_path)
-        drawing = threading.Thread(target=page.run, daemon=True)
-        drawing.start()
-        try:
-            until(lambda: page.view.last is not None)
-            source.gate.clear()
-            until(lambda: any("source has not finished for" in line for line in post(page, "focus")[1]["hanging"]))
-            source.gate.set()
-            until(lambda: post(page, "focus")[1]["hanging"] == [])
-        finally:
-            loop.stop()
-            drawing.join(WAIT_S)
-            page.close()
 
 
 @pytest.mark.extra("serve", "starlette")
@@ -247,7 +226,9 @@ def test_a_camera_that_hangs_when_it_is_opened_is_named(tmp_path, run, monkeypat
     assert "source has not finished for" in result.stderr
 
 
-@pytest.mark.parametrize("error", [ZeroDivisionError("division by zero"), MemoryError(), ValueError("odd\nshape")])
+@pytest.mark.parametrize(
+    "error", [ZeroDivisionError("by zero"), MemoryError(), ValueError("odd\nshape"), InputError("dark")]
+)
 def test_no_error_of_one_frame_ends_the_loop(error):
     eye = Eye()
     with watched(eye=eye) as (loop, said):
@@ -257,7 +238,7 @@ def test_no_error_of_one_frame_ends_the_loop(error):
         measured = loop.meters["depth"].count
         until(lambda: loop.meters["depth"].count > measured + 3)
         assert loop.failure is None
-    told = [line for line in said if type(error).__name__ in line]
+    told = [line for line in said if type(error).__name__ in line or line.endswith("dark")]
     assert len(told) == 1
     assert "\n" not in told[0]
 
@@ -373,16 +354,6 @@ def test_what_only_refers_to_itself_does_not_wait_for_the_collector_of_old_objec
             until(lambda: left() is None)
     finally:
         gc.enable()
-
-
-def test_an_item_can_be_waited_for_with_patience():
-    slot: Slot[int] = Slot()
-    assert not slot.wait(0.01)
-    slot.put(0)
-    assert slot.wait(WAIT_S)
-    assert (len(slot), slot.take(), len(slot)) == (1, 0, 0)
-    slot.close()
-    assert slot.wait(WAIT_S)
 
 
 @pytest.mark.slow

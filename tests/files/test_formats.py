@@ -249,34 +249,6 @@ def test_a_surface_is_read_by_trimesh(tmp_path, rng):
     assert np.tan(perspective["yfov"] / 2) * perspective["aspectRatio"] == pytest.approx(45 / 500)
 
 
-@pytest.mark.extra("blender", "bpy")
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["glb", "usdz"])
-def test_blender_sees_the_photograph_through_its_camera(tmp_path, name):
-    """Rendered by Cycles through the camera in the file, the surface looks as the picture it was made of."""
-    import bpy
-
-    camera, image = cap.open_sample(SAMPLE)
-    frame = camera.measure(image)
-    (path,) = frame.save(tmp_path / "a", write=name)
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    (bpy.ops.import_scene.gltf if name == "glb" else bpy.ops.wm.usd_import)(filepath=str(path))
-    scene = bpy.context.scene
-    scene.camera = next(o for o in bpy.data.objects if o.type == "CAMERA")
-    scene.render.engine, scene.cycles.samples = "CYCLES", 1
-    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 720, 480, 100
-    scene.view_settings.view_transform, scene.render.filepath = "Standard", str(tmp_path / "seen.png")
-    bpy.ops.render.render(write_still=True)
-    seen = cv2.imread(str(tmp_path / "seen.png")).astype(float)
-    frame.save(tmp_path / "a", write="color")
-    picture = cv2.imread(str(tmp_path / "a.color.png")).astype(float)
-    known = seen.sum(axis=-1) > 30
-    assert known.mean() > 0.3
-    errors = {dx: np.abs(np.roll(picture, dx, 1) - seen)[known].mean() for dx in (-2, -1, 0, 1, 2)}
-    assert min(errors, key=errors.get) == 0
-    assert errors[0] < 6  # grey levels: JPEG, and one random ray a pixel
-
-
 @pytest.mark.extra("usd", "pxr")
 def test_usdz_is_a_package_with_camera_and_texture(tmp_path, rng):
     from pxr import Usd, UsdGeom, UsdShade

@@ -111,7 +111,13 @@ def _read_clip(path: Path) -> None:
 def _read_picture(path: Path) -> None:
     image_size(path)
     read_exif(path)
-    read_image(path, black_level=0, white_level=1023)
+    image = read_image(path, black_level=0, white_level=1023)
+    assert (image.dtype, image.ndim, image.shape[2]) == (np.float32, 3, 3)
+    assert np.isfinite(image).all()
+
+
+def _read_camera(path: Path) -> None:
+    assert Calibration.load(path).summary()["scale_px_mm"] > 0
 
 
 def _copy_recording(folder: Path) -> None:
@@ -173,7 +179,7 @@ READERS = {
         Reader("session", "session.toml", lambda p: read_session(p.parent), _corpus("session"), True, _prepare_session),
         Reader("distances", "distances.csv", lambda p: read_session(p.parent), _corpus("distances"), True,
                _prepare_session),
-        Reader("camera", "camera.asdf", Calibration.load, _corpus("camera")),
+        Reader("camera", "camera.asdf", _read_camera, _corpus("camera")),
         Reader("recording", "index.jsonl", _replay, _files(DATA / "recordings" / "format_2" / "index.jsonl"), False,
                _copy_recording),
         Reader("frame", "frames/00000000.tiff", _replay,

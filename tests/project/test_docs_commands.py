@@ -194,15 +194,8 @@ def test_the_commands_of_a_page_run_as_they_stand(name, world, tmp_path):
     assert not complaints(run_page(PAGES[name], folder))
 
 
-@pytest.mark.parametrize("name", PAGES)
-def test_the_commands_within_sentences_exist_and_take_these_options(name, tmp_path):
-    for match in INLINE.finditer(PAGES[name].read_text(encoding="utf-8")):
-        command = " ".join(match[1].split())
-        check_options(words(command, tmp_path), whole=False)
-
-
-@pytest.mark.parametrize("path", OTHERS, ids=lambda path: path.name)
-def test_the_commands_of_other_files_exist_and_take_these_options(path, tmp_path):
+@pytest.mark.parametrize("path", [*PAGES.values(), *OTHERS], ids=lambda path: path.name)
+def test_the_commands_within_sentences_exist_and_take_these_options(path, tmp_path):
     for match in INLINE.finditer(path.read_text(encoding="utf-8")):
         command = " ".join(match[1].replace("\\n", "").split())
         check_options(words(command, tmp_path), whole=False)

@@ -19,7 +19,7 @@ def test_a_mutant_is_read_or_refused_in_one_line(tmp_path, name, rng):
         path.write_bytes(content)
         reader.read(path)
     refused = 0
-    for _ in range(40):
+    for _ in range(60):
         path.write_bytes(mutant(seeds[rng.integers(len(seeds))], rng, is_text=reader.is_text))
         try:
             reader.read(path)

@@ -119,14 +119,6 @@ def test_tasks_ahead_of_their_results_are_bounded(scheduler, monkeypatch):
             assert len(taken) <= done + 10
 
 
-@pytest.mark.extra("cluster", "distributed")
-def test_no_scheduler_is_told(monkeypatch, tmp_path):
-    monkeypatch.setattr(cluster, "CONNECT_S", 1)
-    for address in ("tcp://127.0.0.1:9", "nonsense://x"):
-        with pytest.raises(InputError, match="no Dask scheduler answers"):
-            sweep.sweep(small_trials(), workers=1, keep_in=tmp_path, cluster=address)
-
-
 def test_without_the_extra_its_name_is_told(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingDependencyError, match=r"chromaperture\[cluster\]"):

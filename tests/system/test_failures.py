@@ -509,23 +509,6 @@ def test_a_wrong_number_of_threads_is_one_line():
     ]
 
 
-@pytest.mark.parametrize("option", ["--camera", "--lens"])
-def test_a_camera_or_lens_file_that_cannot_be_read_is_one_line(run, small, tmp_path, option):
-    folder = tmp_path / "file.asdf"
-    folder.mkdir()
-    unreadable = [folder]
-    if os.geteuid():
-        unreadable.append(tmp_path / "secret.asdf")
-        unreadable[-1].write_bytes((small / "camera.asdf").read_bytes())
-        unreadable[-1].chmod(0)
-    for file in unreadable:
-        command = ("depth", small / "walk" / "0.png") if option == "--camera" else ("apertures",)
-        code, said, complaint = run(*command, option, file, "-q")
-        assert (code, said) == (2, "")
-        assert len(complaint.splitlines()) == 1
-        assert file.name in complaint
-
-
 @pytest.mark.parametrize("fails_at", [1, 2, 3])
 def test_work_is_done_here_where_no_thread_can_be_started(monkeypatch, fails_at):
     start, count = threading.Thread.start, itertools.count(1)

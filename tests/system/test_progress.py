@@ -17,10 +17,7 @@ from chromaperture.camera.camera import load_camera
 from chromaperture.cli import console
 from chromaperture.cli.main import main
 from chromaperture.products.samples import SAMPLES, sample_camera
-from chromaperture_paper import quality
-from chromaperture_paper.context import Context
-
-PATIENCE_S = 30.0  # for a line that comes after a hundredth of a second on a machine that does nothing else
+from waiting import until
 
 
 @pytest.fixture
@@ -50,10 +47,7 @@ class Watched:
         return self._err.getvalue()
 
     def until(self, text):
-        end = time.monotonic() + PATIENCE_S
-        while text not in self.err:
-            assert time.monotonic() < end, f"{text!r} did not come: {self.err!r}"
-            time.sleep(0.005)
+        until(lambda: text in self.err)
 
 
 def test_without_a_terminal_a_line_for_every_state_that_lasts(soon, monkeypatch):
@@ -76,10 +70,7 @@ def test_a_state_that_lasts_is_said_again(soon, monkeypatch):
     seen = Watched(monkeypatch)
     with soon(quiet=False) as update:
         update("restoration", 1, 3)
-        end = time.monotonic() + PATIENCE_S
-        while seen.err.count("restoration, 2 of 3") < 3:
-            assert time.monotonic() < end, seen.err
-            time.sleep(0.005)
+        until(lambda: seen.err.count("restoration, 2 of 3") >= 3)
 
 
 def test_lines_are_rate_limited(capfd, monkeypatch):
@@ -109,14 +100,9 @@ def test_on_a_terminal_the_remaining_time_is_shown(monkeypatch):
     with console.progress(quiet=False) as update:
         for done in range(3):
             update("[1] boards", done, 4)
-        end = time.monotonic() + PATIENCE_S
-        while not re.search(r"\[1\] boards .*2/4 \d:\d\d:\d\d left \d:\d\d:\d\d", shown()):
-            assert time.monotonic() < end, shown()[-300:]
-            time.sleep(0.01)
+        until(lambda: re.search(r"\[1\] boards .*2/4 \d:\d\d:\d\d left \d:\d\d:\d\d", shown()))
         update("tilts", 0, 7)  # another step: what is left of it is not known yet
-        while not re.search(r"tilts .*0/7 \d:\d\d:\d\d left -:--:--", shown()):
-            assert time.monotonic() < end, shown()[-300:]
-            time.sleep(0.01)
+        until(lambda: re.search(r"tilts .*0/7 \d:\d\d:\d\d left -:--:--", shown()))
 
 
 def test_a_piped_calibration_says_where_it_is_and_keeps_json_apart(soon, calibrated_session, tmp_path, monkeypatch):
@@ -160,17 +146,6 @@ def test_simulate_counts_its_photographs_on_standard_error(soon, tmp_path, monke
     assert [done for _, done, _ in counted] == list(range(written + 1))
     assert counted[-1][2] == written
     assert ".png" not in capfd.readouterr().out
-
-
-def test_evaluate_quality_counts_walls_and_calibrates_aloud(session, tmp_path):
-    said = []
-    context = Context(tmp_path, data=session, quick=True)
-    context.progress = lambda *state: said.append(state)
-    quality.quality(context)
-    walls = [state for state in said if "wall at" in state[0]]
-    assert [done for _, done, _ in walls] == list(range(len(walls)))
-    assert {total for *_, total in walls} == {len(walls)}  # so that the remaining time is known
-    assert any(what == "board disparity" for what, *_ in said)
 
 
 def test_quality_accurate_estimates_its_time_for_the_size(capfd):

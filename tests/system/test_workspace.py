@@ -33,14 +33,6 @@ def test_memory_is_lent_again_when_no_array_uses_it() -> None:
     assert not np.shares_memory(second, third)
 
 
-def test_memory_of_a_much_larger_volume_is_not_taken() -> None:
-    large = volume(SHAPE)
-    address = large.ctypes.data
-    del large
-    gc.collect()
-    assert volume((3, 11, 13)).ctypes.data != address
-
-
 def test_a_large_volume_is_given_back() -> None:
     large = volume((_MOST_KEPT // 4 + 1, 1, 1))  # its pages are never touched
     size = large.size
