@@ -20,6 +20,7 @@ from chromaperture.matching.device.measured import add_alignment, add_extras
 from chromaperture.matching.result import Alignment, Extras
 from chromaperture.system.errors import InputError
 from devices import camera_on, needs_device, small_sample
+from worlds import wavy_capture
 
 pytestmark = [pytest.mark.extra("gpu", "wgpu"), needs_device]
 
@@ -135,11 +136,13 @@ def test_channels_displaced_by_the_lens_are_aligned_as_by_the_cpu(name, scale, r
     assert error.max() < 0.1
 
 
-@pytest.mark.parametrize(("quality", "scale"), [("paper", 2), ("real-time", 1), ("real-time", 2)])
+@pytest.mark.parametrize(("quality", "scale"), [("paper", 1), ("real-time", 1), ("real-time", 2)])
 def test_a_camera_measures_on_the_device(quality, scale, monkeypatch):
     """Depth, error bar and colours, at the photograph's own pixels and at a working scale."""
     width = 150 * scale
     made, image = small_sample("still_life_cy_halves", width, width * 2 // 3, quality=quality)
+    if quality == "paper":  # whose peaks are flat in so few pixels of the sample
+        image = wavy_capture("cy_halves", shape=image.shape[:2])
     config = default_config(made.calibration, quality, scale=scale)
     expected = CodedApertureCamera(made.calibration, config, execution="numpy").measure(image)
     on_gpu = camera_on("gpu", made.calibration, config)
@@ -150,7 +153,7 @@ def test_a_camera_measures_on_the_device(quality, scale, monkeypatch):
         on_gpu.measure(np.full_like(image, 0.4))
     assert (np.isnan(expected.depth_mm) == np.isnan(found.depth_mm)).mean() > 0.995
     known = np.isfinite(expected.depth_mm) & np.isfinite(found.depth_mm)
-    assert known.mean() > (0.2 if quality == "paper" else 0.5)
+    assert known.mean() > 0.4
     assert (np.abs(found.depth_mm / expected.depth_mm - 1) < 1e-3)[known].mean() > 0.995
     assert np.quantile(np.abs(found.sigma_mm / expected.sigma_mm - 1)[known], 0.99) < 0.05
     assert np.quantile(np.abs(found.color - expected.color), 0.99) < 1e-3
