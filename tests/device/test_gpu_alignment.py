@@ -146,6 +146,7 @@ def test_a_camera_measures_on_the_device(quality, scale, monkeypatch):
     config = default_config(made.calibration, quality, scale=scale)
     expected = CodedApertureCamera(made.calibration, config, execution="numpy").measure(image)
     on_gpu = camera_on("gpu", made.calibration, config)
+    assert (on_gpu.method.on_gpu.reduction is None) == (scale == 1)
     monkeypatch.delattr(ChannelAlignment, "align")
     monkeypatch.delattr(CodedApertureCamera, "millimetres")
     found = on_gpu.measure(image)

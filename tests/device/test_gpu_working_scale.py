@@ -125,13 +125,9 @@ def test_maps_of_the_working_scale_at_all_pixels(photograph):
         assert differs.sum() <= 2e-3 * differs.size + 1
 
 
-def scaled(config, scale_px: tuple[int, int]) -> ScaledMethod:
-    method = method_for(config, aperture="cy_halves", execution="numpy")
-    return ScaledMethod(method, config, scale_px, design_named("cy_halves"), stages)
-
-
 def test_what_has_no_room_on_the_device_is_reduced_by_the_cpu():
-    method = scaled(RealTimeConfig().with_range(-2, 2), (82, 60))
+    matching = method_for(RealTimeConfig().with_range(-2, 2), aperture="cy_halves", execution="numpy")
+    method = ScaledMethod(matching, matching.config, (82, 60), design_named("cy_halves"), stages)
     found = on_device(method, "gpu", lambda note: None, pixels=open_device("gpu").largest_bytes)
     assert isinstance(found, ScaledMethod)
     assert isinstance(found.method, DeviceMethod)

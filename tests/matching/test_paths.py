@@ -8,9 +8,7 @@ import pytest
 from chromaperture.matching import compiled as cpu
 from chromaperture.matching import readable as stages
 from chromaperture.matching.accurate import least_cost
-from chromaperture.matching.compiled.paths import line_starts
 from chromaperture.matching.labels import IDENTITY
-from chromaperture.matching.readable.paths import LINES
 from chromaperture.settings.stages import SurfaceConfig
 
 
@@ -40,16 +38,6 @@ def test_two_opposed_paths_find_the_best_layers_of_a_row(run):
         least - least.min(axis=1, keepdims=True),
         atol=1e-5,  # float32
     )
-
-
-def test_lines_of_a_family_visit_every_pixel_once():
-    for height, width in ((5, 8), (8, 5), (1, 4), (4, 1)):
-        for dx, dy in LINES:
-            seen = np.zeros((height, width), int)
-            for x, y, count in line_starts(height, width, dx, dy):
-                for i in range(count):
-                    seen[y + i * dy, x + i * dx] += 1
-            assert (seen == 1).all()
 
 
 def test_penalties_do_not_depend_on_the_layer_step():
