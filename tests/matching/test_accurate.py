@@ -72,12 +72,13 @@ def config_of(**surface):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("execution", ["numba", "numpy"])
-def test_a_surface_is_found_with_an_error_bar(execution):
+@pytest.mark.parametrize(("execution", "kind"), [("numba", "views"), ("numpy", "views"), ("numba", "none")])
+def test_a_surface_is_found_with_an_error_bar(execution, kind):
     rng = np.random.default_rng(2)
     truth = wall((20, 24)) if execution == "numpy" else wall()
     likelihood = log_likelihood(correlation_volume(rng, truth), view_count=2)
-    surface = surface_of(likelihood, config=config_of(slope_penalty=1.5, jump_penalty=3), execution=execution)
+    config = config_of(slope_penalty=1.5, jump_penalty=3, learned_error_bar=kind)
+    surface = surface_of(likelihood, config=config, execution=execution)
     alone = np.abs(LAYERS_PX[likelihood.argmax(axis=2)] - truth).mean()
     assert np.isfinite(surface.disparity_px).all()
     # A sixth of a layer is found; of single pixels half a layer.
