@@ -5,13 +5,20 @@ from __future__ import annotations
 import json
 import os
 import struct
+import warnings
 import zlib
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
+from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.matching.device import device as device_file
 from chromaperture.matching.device.device import Device, DeviceError, adapters, has_extra, open_device
+from chromaperture.model.camera_file import Calibration
+from chromaperture.products.samples import open_sample
+from chromaperture.system.errors import CaptureWarning
 
 # Set where a driver was installed for these tests: then its absence is a failure.
 EXPECTED = "CHROMAPERTURE_EXPECT_DEVICE"
@@ -20,6 +27,11 @@ needs_device = pytest.mark.skipif(
     has_extra() and not adapters() and not os.environ.get(EXPECTED),
     reason="no driver for Vulkan, Metal or Direct3D 12 (Debian: mesa-vulkan-drivers): shaders are NOT tested",
 )
+
+
+def with_device(test: Any) -> Any:
+    """Mark a test that needs the extra and a device."""
+    return pytest.mark.extra("gpu", "wgpu")(needs_device(test))
 
 
 def any_device() -> Device:
@@ -43,6 +55,19 @@ def unpack_array(data, dtype=np.float32):
     folded = np.ascontiguousarray(planes.T).view("<u4").ravel().astype(np.uint32)
     twice = (folded >> np.uint32(1)) ^ (np.uint32(0) - (folded & np.uint32(1)))
     return np.cumsum(np.cumsum(twice, dtype=np.uint32), dtype=np.uint32).view(dtype)
+
+
+def camera_on(device: str, calibration: Calibration, config: Any = None) -> CodedApertureCamera:
+    """A camera that measures on a device, without the warning that it is software."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", CaptureWarning)
+        return CodedApertureCamera(calibration, config, device=device)
+
+
+def small_sample(name: str, width: int, height: int, *, quality: str) -> tuple[CodedApertureCamera, np.ndarray]:
+    """A bundled capture and its camera, on the CPU, in fewer pixels: software devices are slow."""
+    camera, image = open_sample(name, quality=quality, device="cpu")
+    return camera.at_size(width, height), cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def unpacked(message):

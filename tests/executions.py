@@ -34,6 +34,16 @@ _VARIANCE_AT = 8  # in the statistics of the views
 LANES_AND_AHEAD = {3: (1, 1), 9: (4, 4), 21: (16, 3), 70: (8, 1)}
 
 
+def slanted_volume(rng: np.random.Generator, height: int, width: int, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Peaks about a slanted surface with a step, as correlations make them, and a guide with an edge there."""
+    y, x = np.mgrid[:height, :width]
+    truth = 1.5 + (count - 4) * (0.2 + 0.4 * x / width + 0.1 * y / height) + (x > width // 2) * count * 0.2
+    away = np.arange(count) - truth[..., None]
+    likelihood = 2.0 * np.exp(-0.5 * (away / 1.3) ** 2) + rng.gamma(0.3, 0.3, (height, width, count))
+    guide = (x > width // 2) * 1.5 + rng.normal(0, 0.1, (height, width))
+    return likelihood.astype(np.float32), guide.astype(np.float32)
+
+
 class Shaders:
     """The stages that shaders have, with the parameters of `Execution`; each call compiles them for its sizes."""
 

@@ -180,6 +180,19 @@ def blurred(pattern: np.ndarray, blur: LensBlur, inverse_mm: float) -> np.ndarra
     return image[:, : blur.height_px, : blur.width_px].transpose(1, 2, 0).astype(np.float32)
 
 
+def plane_behind(
+    blur: LensBlur, layer_px: float, rng: np.random.Generator, *, noise=0.002, finest_px=0.0, gains=(1, 1, 1)
+) -> np.ndarray:
+    """A noisy plane at one depth, grey or of a hue that rises by ``gains`` of R, G, B; (H, W, 3) float32."""
+    pattern = rng.normal(0, 0.15, (256, 256))
+    if finest_px:
+        pattern = cv2.GaussianBlur(pattern, (0, 0), finest_px, borderType=cv2.BORDER_REFLECT_101)
+        pattern *= 0.12 / pattern.std()
+    at_infinity, scale = blur.reference
+    image = 0.5 + np.asarray(gains) * (blurred(0.5 + pattern, blur, (at_infinity - layer_px) / scale) - 0.5)
+    return (image + rng.normal(0, noise, image.shape)).astype(np.float32)
+
+
 class Boards:
     """The part of a session that the fits to its boards use: photographs by their distance from the sensor, mm."""
 

@@ -43,7 +43,7 @@ class Running(FileSource):
 class Eye:
     """A camera whose measuring can be held up; the rest is the sample's."""
 
-    measures_ahead = False
+    can_pipeline = False
 
     def __init__(self) -> None:
         real = load_camera(sample_camera("still_life_cy_halves"))
@@ -65,26 +65,26 @@ class Eye:
 class Device(Eye):
     """An eye that computes one photograph while the one before is read back."""
 
-    measures_ahead = True
+    can_pipeline = True
 
     def __init__(self) -> None:
         super().__init__()
         self.calls, self.refused = [], {}
         self.gate.release(10**6)
 
-    def begin(self, image: np.ndarray) -> int:
+    def submit(self, image: np.ndarray) -> SimpleNamespace:
         number = round(float(image[0, 0, 0]) * 255)
-        self.calls.append(("begin", number))
-        if self.refused.get(number) == "begin":
+        self.calls.append(("submit", number))
+        if self.refused.get(number) == "submit":
             raise InputError("cannot begin this")
-        return number
+        return SimpleNamespace(result=lambda *, on_device_free: self.result(number, on_device_free))
 
-    def complete(self, number: int, *, meanwhile) -> SimpleNamespace:
+    def result(self, number: int, on_device_free) -> SimpleNamespace:
         time.sleep(0.01)  # a frame waits by then
         self.calls.append(("read", number))
-        meanwhile()
-        self.calls.append(("complete", number))
-        if self.refused.get(number) == "complete":
+        on_device_free()
+        self.calls.append(("result", number))
+        if self.refused.get(number) == "result":
             raise InputError("cannot complete this")
         return self.measure(np.zeros((4, 6, 3), np.float32))
 
@@ -183,16 +183,16 @@ def test_a_device_begins_a_frame_while_the_cpu_finishes_the_one_before():
     eye = Device()
     seen, _ = seen_of(eye, 30)
     assert seen == list(range(30))
-    for what in ("begin", "read", "complete"):
+    for what in ("submit", "read", "result"):
         assert [number for name, number in eye.calls if name == what] == list(range(30))
     at = {call: place for place, call in enumerate(eye.calls)}
-    ahead = [at["read", n] < at["begin", n + 1] < at["complete", n] for n in range(29)]
+    ahead = [at["read", n] < at["submit", n + 1] < at["result", n] for n in range(29)]
     assert sum(ahead) > 20  # the others were late, on a busy machine
 
 
 def test_a_frame_that_a_device_refuses_costs_no_other():
     eye = Device()
-    eye.refused = {3: "begin", 7: "complete"}
+    eye.refused = {3: "submit", 7: "result"}
     seen, loop = seen_of(eye, 12)
     assert seen == [n for n in range(12) if n not in (3, 7)]
     assert loop.unused == 2

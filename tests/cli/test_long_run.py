@@ -69,7 +69,7 @@ class Camera(FileSource):
 class Eye:
     """Measures at once, unless its gate is closed."""
 
-    measures_ahead, method = False, None
+    can_pipeline, method = False, None
 
     def shows_frame_at(self, size_px) -> bool:
         return False

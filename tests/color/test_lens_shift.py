@@ -41,16 +41,6 @@ def test_a_thin_lens_s_kernels_are_the_aperture_s_shadow(design, radius):
     np.testing.assert_allclose(by_rays[:, shown], by_mask[:, shown], atol=0.02)
 
 
-@pytest.mark.slow
-def test_lateral_colour_is_a_displacement_along_the_field():
-    shift = lens_shift(replace(THIN, lateral_red_px=1.5), "open")
-    moved = shift(np.full((H, W), 3.0, np.float32))
-    x, y = np.meshgrid(np.arange(W) - (W - 1) / 2, np.arange(H) - (H - 1) / 2)
-    expected = 1.5 * np.stack([x, y]) / (W / 2)
-    np.testing.assert_allclose(moved[0], expected, atol=2e-3)  # of float32 rays
-    np.testing.assert_allclose(moved[1:], 0, atol=2e-3)
-
-
 def test_shifted_copies_are_found_exactly(rng):
     places = rng.uniform(-4, 4, (300, 2))
     light = np.full(300, 1 / 300)

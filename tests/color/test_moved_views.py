@@ -25,7 +25,7 @@ from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.settings.methods import RealTimeConfig
 from chromaperture.system.errors import InputError
-from devices import needs_device
+from devices import with_device
 from worlds import MARGIN_PX, Boards, capture, halves_camera, ideal_film, texture, wavy_capture
 
 W, H = 97, 80
@@ -154,8 +154,7 @@ def test_designs_of_two_channels_ignore_them(rng):
     assert method.space.moves_px is None
 
 
-@pytest.mark.extra("gpu", "wgpu")
-@needs_device
+@with_device
 @pytest.mark.parametrize("hole", [False, True])
 def test_a_device_samples_the_same_views(hole, rng):
     values, image = table(rng), wavy_capture("rgb_squares", shape=(H, W))

@@ -84,22 +84,8 @@ def table_error(disparity: np.ndarray, depth_mm: np.ndarray, model: DepthModel) 
     return np.asarray(((by_d / slope) ** 2 * own * 670 + 2 * by_d / slope * cross * 80) * apart**2 / 8)
 
 
-def test_beyond_the_greatest_depth_nothing_is_known():
-    model = fields(3, maps=True, known=False, curved=True)
-    disparity = np.linspace(-1.0, 2.25, np.prod(SHAPE)).reshape(SHAPE)
-    depth, sigma = disparity_to_depth(disparity, model, np.ones(SHAPE), max_depth_mm=3000.0)
-    assert np.isnan(depth[-1]).all()
-    assert np.isfinite(depth[0]).all()
-    assert np.array_equal(np.isnan(depth), np.isnan(sigma))
-    assert np.nanmax(depth) <= 3000.0  # the limit that was set
-
-
-@pytest.mark.parametrize("step", [1, 2])
-def test_rows_need_not_lie_one_after_the_other(step):
+def test_pixels_of_a_row_need_not_lie_one_after_the_other():
     model = fields(5, maps=False, known=False, curved=True)
-    wide = np.random.default_rng(0).uniform(-3, 1, (SHAPE[0], SHAPE[1] * step))
-    sliced, whole = wide[:, ::step], np.ascontiguousarray(wide[:, ::step])
-    for a, b in zip(
-        disparity_to_depth(sliced, model, sliced + 9), disparity_to_depth(whole, model, whole + 9), strict=True
-    ):
-        np.testing.assert_array_equal(a, b)
+    sliced = np.random.default_rng(0).uniform(-3, 1, (SHAPE[0], SHAPE[1] * 2))[:, ::2]
+    found, whole = (disparity_to_depth(part, model, part + 9) for part in (sliced, np.ascontiguousarray(sliced)))
+    np.testing.assert_array_equal(found, whole)

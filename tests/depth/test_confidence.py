@@ -68,28 +68,24 @@ def test_a_flat_or_negative_peak_gives_a_long_but_finite_error_bar():
         assert (sigma > 1).all()
 
 
-@pytest.mark.parametrize("design", ["cy_halves", "rgb_squares", "cmy_circles"])
-@pytest.mark.parametrize("seed", [0, 1, 2])
-def test_what_pure_noise_leaves_known_has_wide_error_bars(design, seed):
-    rng = np.random.default_rng(seed)
-    noise = rng.uniform(0.1, 0.9, (120, 160, 3)).astype(np.float32)
-    config = preset("real-time").with_range(-4.0, 4.0)
-    found = estimate_disparity(noise, aperture=design, config=config)
-    known = np.isfinite(found.value_px)
-    truth = rng.uniform(-4.0, 4.0, known.shape)  # of nothing in the picture
-    # Found: .90 to 1. At the ends of the range the error exceeds two sigmas of the range for a sixth of all truths.
-    if known.any():
-        assert (np.abs(found.value_px - truth) <= 2 * found.sigma_px)[known].mean() > 5 / 6
-    assert known.mean() < 0.2  # 0 to .11
+NOISY_DESIGNS = ["cy_halves", "rgb_squares", "cmy_circles"]
+
+
+def of_noise(quality, design, seed, *, blank=False):
+    """What is found in noise of every channel, or in a blank wall whose noise is known, and the settings."""
+    rng, shape = np.random.default_rng(seed), (120, 160, 3)
+    image, variance = rng.uniform(0.1, 0.9, shape), None
+    if blank:
+        image, variance = 0.5 + rng.normal(0, 0.01, shape), np.full(shape, 0.01**2, np.float32)
+    config = preset(quality).with_range(-4.0, 4.0)
+    return estimate_disparity(image.astype(np.float32), aperture=design, config=config, noise_variance=variance), config
 
 
 @pytest.mark.parametrize(("quality", "most_known"), [("paper", 0.72), ("real-time", 0.1), ("accurate", 0.01)])
-def test_what_is_known_no_better_than_the_range_is_unknown(rng, quality, most_known):
-    # Pure noise: each channel another one, so no disparity is right. Known fractions found: .70, .08, 0; without the
-    # rule .75, .9, .91. The local peaks of `paper` have no posterior over the range.
-    config = preset(quality).with_range(-4.0, 4.0)
-    noise = rng.uniform(0.1, 0.9, (120, 160, 3)).astype(np.float32)
-    found = estimate_disparity(noise, aperture="cy_halves", config=config)
+def test_what_is_known_no_better_than_the_range_is_unknown(quality, most_known):
+    # No disparity is right. Known fractions found: .70, .08, 0; without the rule .75, .9, .91. The local peaks of
+    # `paper` have no posterior over the range.
+    found, config = of_noise(quality, "cy_halves", 5)
     known = np.isfinite(found.value_px)
     np.testing.assert_array_equal(known, np.isfinite(found.sigma_px))
     assert known.mean() < most_known
@@ -103,17 +99,23 @@ def test_what_is_known_no_better_than_the_range_is_unknown(rng, quality, most_kn
     assert not found.confidence[~known].any()
 
 
-@pytest.mark.parametrize("design", ["cy_halves", "rgb_squares", "cmy_circles"])
-@pytest.mark.parametrize("kind", ["blank wall", "noise"])
+@pytest.mark.parametrize("design", NOISY_DESIGNS)
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_what_pure_noise_leaves_known_has_wide_error_bars(design, seed):
+    found, _ = of_noise("real-time", design, seed)
+    known = np.isfinite(found.value_px)
+    truth = np.random.default_rng(seed + 10).uniform(-4.0, 4.0, known.shape)  # of nothing in the picture
+    # Found: .90 to 1. At the ends of the range the error exceeds two sigmas of the range for a sixth of all truths.
+    if known.any():
+        assert (np.abs(found.value_px - truth) <= 2 * found.sigma_px)[known].mean() > 5 / 6
+    assert known.mean() < 0.2  # 0 to .11
+
+
+@pytest.mark.parametrize("design", NOISY_DESIGNS)
+@pytest.mark.parametrize("blank", [True, False], ids=["blank wall", "noise"])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_noise_alone_is_unknown_to_accurate_or_as_wide_as_the_range(design, kind, seed):
-    rng = np.random.default_rng(seed)
-    shape, config = (120, 160, 3), preset("accurate").with_range(-4.0, 4.0)
-    if kind == "noise":
-        image, variance = rng.uniform(0.1, 0.9, shape), None
-    else:
-        image, variance = 0.5 + rng.normal(0, 0.01, shape), np.full(shape, 0.01**2, np.float32)
-    found = estimate_disparity(image.astype(np.float32), aperture=design, config=config, noise_variance=variance)
+def test_noise_alone_is_unknown_to_accurate_or_as_wide_as_the_range(design, blank, seed):
+    found, config = of_noise("accurate", design, seed, blank=blank)
     known = np.isfinite(found.value_px)
     # Three views of noise agree somewhere by chance, so that the posterior is a little narrower than the range: bars of
     # .85 of the range's standard deviation hold half of the truths that lie anywhere in it (.88 is found, .92 and more

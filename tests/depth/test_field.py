@@ -99,6 +99,11 @@ def test_the_nonlinearity_is_separated_from_the_lens(rng):
     assert errors[0] > 5 * errors[1]
 
 
+def ranked(x, y, disparity, z, *, degree=4, **more):
+    more = {"boards": np.ones(len(z), bool)} | more
+    return ranked_curves(x, y, disparity, exact_distances(z), size_px=(WIDTH, HEIGHT), degree=degree, **more)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("true_terms", "boards"), [(0, 12), (3, 15), (6, 24)])
 def test_as_many_terms_as_the_matcher_needs(rng, true_terms, boards):
@@ -110,9 +115,7 @@ def test_as_many_terms_as_the_matcher_needs(rng, true_terms, boards):
     low, high = linear.min(), linear.max()
     read = linear + chebyshev.chebval((2 * linear - low - high) / (high - low), series)
     read += rng.normal(0, 0.002, (len(z), 1)) + rng.normal(0, 0.01, linear.shape)  # of boards, and of pixels
-    found = ranked_curves(
-        x, y, read, exact_distances(z), size_px=(WIDTH, HEIGHT), degree=4, boards=np.ones(len(z), bool)
-    )
+    found = ranked(x, y, read, z)
     assert found[0] == max(true_terms, 2)  # two are always allowed for
     assert found[-1] == 0
 
@@ -126,13 +129,8 @@ def test_a_curve_known_beforehand_is_taken_where_it_is_right(rng):
     right = Nonlinearity(low, high, np.array([0.02, -0.05, 0.04, 0.03, -0.02]))
     wrong = Nonlinearity(low, high, -right.coefficients)
     read = right.measured(linear) + rng.normal(0, 0.01, linear.shape)
-    where, everything = (x, y, read, exact_distances(z)), np.ones(len(z), bool)
-    ranked = [
-        ranked_curves(*where, size_px=(WIDTH, HEIGHT), degree=4, boards=everything, known=known)
-        for known in (right, wrong)
-    ]
-    assert ranked[0][0] is right
-    assert ranked[1][0] is not wrong
+    assert ranked(x, y, read, z, known=right)[0] is right
+    assert ranked(x, y, read, z, known=wrong)[0] is not wrong
     fitted, residual = fit(x, y, read, exact_distances(z), nonlinearity=right)
     assert fitted.nonlinearity is right
     assert np.abs(np.median(residual, axis=1)).max() < 0.002  # 0.01 px, averaged over the frame
@@ -146,78 +144,53 @@ def test_many_boards_need_no_rendered_curve(rng, monkeypatch):
     x, y, linear = measured_boards(rng, 0.0, z, step=4)
     known = Nonlinearity(float(linear.min()), float(linear.max()), np.array([0.02, -0.05]))
     read = known.measured(linear) + rng.normal(0, 0.01, linear.shape)
-    where = (x, y, read, exact_distances(z))
-    found = ranked_curves(*where, size_px=(WIDTH, HEIGHT), degree=4, boards=np.ones(len(z), bool), known=known)
+    found = ranked(x, y, read, z, known=known)
     assert found[0] == 2
     assert known not in found
 
 
 def test_few_boards_carry_no_terms(rng):
     x, y, linear = measured_boards(rng, 0.01)
-    everything = np.ones(len(RULERS), bool)
-    found = ranked_curves(x, y, bent(linear), exact_distances(), size_px=(WIDTH, HEIGHT), degree=2, boards=everything)
-    assert max(found) <= len(RULERS) // 3
-    with pytest.raises(InputError):
-        fit(x, y, linear, boards=everything & (RULERS == 1000.0))
-    assert ranked_curves(
-        x, y, linear, exact_distances(), size_px=(WIDTH, HEIGHT), degree=2, boards=everything & (RULERS < 2000)
-    ) == [0]  # fmt: skip
-
-
-def test_covariance_is_the_scatter_of_many_sessions():
-    """Forty sessions: noise of every sample, and a ruler that errs by the same mm at all samples of a board."""
-    rng = np.random.default_rng(7)
     z = RULERS - DELTA
-    x, y, clean = measured_boards(rng, 0.0)
+    assert max(ranked(x, y, bent(linear), z, degree=2)) <= len(RULERS) // 3
+    assert ranked(x, y, linear, z, degree=2, boards=RULERS < 2000) == [0]
+    with pytest.raises(InputError):
+        fit(x, y, linear, boards=RULERS == 1000.0)
+
+
+@pytest.mark.parametrize(
+    ("seed", "curve", "z", "with_pupil"),
+    [(7, None, RULERS - DELTA, -1.0), (11, (0.06, -0.04), np.linspace(1000, 4000, 16) - DELTA, 0.0)],
+    ids=["lens alone", "nonlinearity"],
+)
+def test_covariance_is_the_scatter_of_many_sessions(seed, curve, z, with_pupil):
+    """Forty sessions: noise of every sample, and a ruler that errs by the same mm at all samples of a board.
+
+    Terms of a nonlinearity are correlated with A and B: depth by the whole curve is known best.
+    """
+    rng = np.random.default_rng(seed)
+    x, y, clean = measured_boards(rng, 0.0, z)
+    if curve is not None:
+        clean = Nonlinearity(float(clean.min()), float(clean.max()), np.array(curve)).measured(clean)
     covariance = np.diag([1.7**2] * len(z) + [2.0**2])
-    covariance[-1, :-1] = covariance[:-1, -1] = -1.0
+    covariance[-1, :-1] = covariance[:-1, -1] = with_pupil
+    depths = 1 / np.array([1100.0, 1600, 2200, 3600])
     found, stated = [], []
     for _ in range(40):
         assumed = erring_distances(rng, z, covariance)
-        field, _ = fit(x, y, clean + rng.normal(0, 0.05, clean.shape), assumed, degree=2)
-        places = [field.at(np.array(px), np.array(py), WIDTH, HEIGHT) for px, py in ((30.0, 20.0), (5.0, 4.0))]
-        found.append([value for m in places for value in (*_numbers(m), _depth_at(m, 2200.0))])
-        stated.append([s for m in places for s in _sigmas(m)])
-    ratio = np.std(found, axis=0) / np.sqrt(np.mean(np.square(stated), axis=0))
-    # 40 sessions know a standard deviation to 11 %; twice that
-    assert np.all((ratio > 0.75) & (ratio < 1.3)), ratio
-
-
-def test_covariance_is_the_scatter_with_a_nonlinearity_too():
-    """As above with a nonlinearity, whose terms are correlated with A and B: depth by the whole curve is known best."""
-    rng = np.random.default_rng(11)
-    z = np.linspace(1000, 4000, 16) - DELTA
-    x, y, linear = measured_boards(rng, 0.0, z)
-    clean = Nonlinearity(float(linear.min()), float(linear.max()), np.array([0.06, -0.04])).measured(linear)
-    covariance = np.diag([1.7**2] * len(z) + [2.0**2])
-    found, stated = [], []
-    for _ in range(40):
-        assumed = erring_distances(rng, z, covariance)
-        field, _ = fit(x, y, clean + rng.normal(0, 0.05, clean.shape), assumed, degree=2, nonlinearity=2)
-        model = field.on_axis(WIDTH, HEIGHT)
-        readings = np.interp(1 / np.array([1100.0, 1600, 2200, 3600]), 1 / (z + DELTA)[::-1], clean[::-1, 20 * 31 // 2])
-        depth, sigma = disparity_to_depth(readings, model, sigma_px=np.zeros(4))
-        found.append([*_numbers(model), *depth])
-        stated.append([*np.sqrt(np.diag(model.covariance)), *sigma])
+        read = clean + rng.normal(0, 0.05, clean.shape)
+        field, _ = fit(x, y, read, assumed, degree=2, nonlinearity=len(curve or ()))
+        numbers, errors = [], []
+        for px, py in ((30, 20), (4, 4)):
+            model = field.at(np.array(float(px)), np.array(float(py)), WIDTH, HEIGHT)
+            readings = np.interp(depths, 1 / (z + DELTA)[::-1], clean[::-1, py // 2 * 31 + px // 2])
+            depth, sigma = disparity_to_depth(readings, model, sigma_px=np.zeros(4))
+            numbers += [model.infinity_disparity_px, model.scale_px_mm, model.sensor_to_pupil_mm, *depth]
+            errors += [*np.sqrt(np.diag(model.covariance)), *sigma]
+        found.append(numbers)
+        stated.append(errors)
     ratio = np.std(found, axis=0) / np.sqrt(np.mean(np.square(stated), axis=0))
     assert np.all((ratio > 0.75) & (ratio < 1.3)), ratio  # 40 sessions know a standard deviation to 11 %; twice that
-
-
-def _numbers(model):
-    return float(model.infinity_disparity_px), float(model.scale_px_mm), model.sensor_to_pupil_mm
-
-
-def _reading(z):
-    return float(3.9 - 8300.0 / z)
-
-
-def _depth_at(model, z_mm):
-    return float(disparity_to_depth(np.array(_reading(z_mm)), model)[0])
-
-
-def _sigmas(model):
-    _, sigma = disparity_to_depth(np.array(_reading(2200.0)), model, sigma_px=np.array(0.0))
-    return (*np.sqrt(np.diag(model.covariance)), float(sigma))
 
 
 def test_error_bars_vary_over_the_frame_as_the_fields_covariance_says(rng):

@@ -31,7 +31,7 @@ from chromaperture.matching.working_scale import reduced
 from chromaperture.model.scale import resized
 from chromaperture.products.samples import sample_camera
 from chromaperture.system.errors import CaptureWarning, InputError
-from devices import needs_device, unpack_array, unpacked
+from devices import unpack_array, unpacked, with_device
 
 NAME = "still_life_cy_halves"
 SIZE_PX = (180, 120)
@@ -49,16 +49,10 @@ def camera():
 # ---- without a device
 
 
-@given(st.lists(st.floats(width=32, allow_nan=True), min_size=1, max_size=50))
-def test_arrays_come_back_bit_by_bit(numbers):
-    values = np.array(numbers, np.float32)
-    np.testing.assert_array_equal(unpack_array(pack_array(values)).view(np.uint32), values.view(np.uint32))
-
-
-@given(st.lists(st.integers(0, 2**32 - 1), min_size=1, max_size=50))
-def test_whole_numbers_come_back(numbers):
-    values = np.array(numbers, np.uint32)
-    np.testing.assert_array_equal(unpack_array(pack_array(values), np.uint32), values)
+@given(st.lists(st.integers(0, 2**32 - 1), min_size=1, max_size=50), st.sampled_from([np.float32, np.uint32]))
+def test_arrays_come_back_bit_by_bit(bits, kind):
+    values = np.array(bits, np.uint32)
+    np.testing.assert_array_equal(unpack_array(pack_array(values.view(kind)), kind).view(np.uint32), values)
 
 
 def test_smooth_maps_become_small():
@@ -140,16 +134,8 @@ def test_a_plan_of_another_size_says_so(tmp_path):
 
 # ---- on a device, against NumPy
 
-on_device = [pytest.mark.extra("gpu", "wgpu"), needs_device]
 
-
-def marked(test):
-    for mark in on_device:
-        test = mark(test)
-    return test
-
-
-@marked
+@with_device
 def test_a_plan_is_the_chain_that_python_runs(camera):
     exchange = "quad" if open_device("gpu").subgroups else "shared"
     text, array = unpacked(make_plan(camera, exchange, {}))
@@ -168,7 +154,7 @@ def test_a_plan_is_the_chain_that_python_runs(camera):
         np.testing.assert_array_equal(array(text["arrays"][name]["values"]), values, err_msg=name)
 
 
-@marked
+@with_device
 @pytest.mark.parametrize("side", [1, 2, 3])
 def test_squares_of_counts_become_light(camera, side):
     height, width = 21, 30
@@ -192,7 +178,7 @@ def test_squares_of_counts_become_light(camera, side):
     np.testing.assert_allclose(found, np.where(unknown, 1.0, expected), atol=1e-6)
 
 
-@marked
+@with_device
 def test_maps_become_pictures():
     height, width = 33, 50
     rng = np.random.default_rng(5)

@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -16,12 +15,16 @@ import tifffile
 from chromaperture.camera.camera import CodedApertureCamera, load_camera
 from chromaperture.camera.method import default_config
 from chromaperture.depth.conversion import DepthModel
+from chromaperture.matching.accurate import AccurateMethod
 from chromaperture.matching.device import device as device_file
-from chromaperture.matching.device.device import AdapterInfo, DeviceError, adapters, open_device
+from chromaperture.matching.device.accurate_chain import AccurateOnDevice
+from chromaperture.matching.device.device import AdapterInfo, Device, DeviceError, adapters, open_device
 from chromaperture.matching.device.gpu_method import DeviceMethod, GpuMethod, chosen_device, on_device
+from chromaperture.matching.device.measured import OnDevice
 from chromaperture.matching.estimate import method_for
-from chromaperture.matching.result import Extras
-from chromaperture.settings.methods import PaperConfig, RealTimeConfig
+from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.result import Method
+from chromaperture.settings.methods import AccurateConfig, PaperConfig, RealTimeConfig
 from chromaperture.settings.stages import CorrelationConfig
 from chromaperture.system.errors import (
     CaptureWarning,
@@ -30,7 +33,7 @@ from chromaperture.system.errors import (
     MissingDependencyError,
     OutOfMemoryError,
 )
-from devices import EXPECTED, device_of_its_own, needs_device
+from devices import EXPECTED, camera_on, device_of_its_own, with_device
 from worlds import INFINITY_PX, PUPIL_MM, SCALE_PX_MM, halves_camera, wavy_capture
 
 SHAPE = (60, 84)
@@ -39,21 +42,26 @@ NO_GPU = AdapterInfo("rasteriser", "CPU", "Vulkan", "", 128, False)
 extra = pytest.mark.extra("gpu", "wgpu")
 
 
-def camera_on(device: str, quality="real-time", **changes) -> CodedApertureCamera:
+def camera(device: str, quality: str = "real-time", **changes) -> CodedApertureCamera:
     model = DepthModel(INFINITY_PX, SCALE_PX_MM, PUPIL_MM, np.diag([1e-4, 25.0, 0.25]))
     calibration = halves_camera(model, SHAPE[1], SHAPE[0])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", CaptureWarning)  # the device is software
-        return CodedApertureCamera(calibration, replace(default_config(calibration, quality), **changes), device=device)
+    return camera_on(device, calibration, replace(default_config(calibration, quality), **changes))
 
 
 def silent(note: str) -> None:
     pass
 
 
-def real_time() -> tuple:
-    method = method_for(REAL_TIME, aperture="cy_halves", execution="numpy")
-    return method, wavy_capture("cy_halves", shape=SHAPE)
+def method_and_picture(quality: str = "real-time") -> tuple[Method, np.ndarray]:
+    """A readable method, and a picture that software measures in seconds."""
+    config, shape = (AccurateConfig().with_range(-2.0, 2.0), (24, 40)) if quality == "accurate" else (REAL_TIME, SHAPE)
+    maps = [IDENTITY, IDENTITY] if quality == "accurate" else []
+    method = method_for(config, aperture="cy_halves", label_maps=maps, execution="numpy")
+    return method, wavy_capture("cy_halves", shape=shape, saturated=False)
+
+
+def opened(method: Method, device: Device) -> OnDevice:
+    return (AccurateOnDevice if isinstance(method, AccurateMethod) else GpuMethod)(method, device)
 
 
 @extra
@@ -63,32 +71,7 @@ def test_a_driver_is_there_where_one_was_installed():
     assert adapters()
 
 
-@extra
-@needs_device
-@pytest.mark.parametrize(("quality", "least"), [("paper", 0.995), ("real-time", 0.995)])
-def test_depth_is_that_of_the_readable_stages(quality, least):
-    """0.1 % of the depth for 99.5 % of the pixels."""
-    image = wavy_capture("cy_halves", shape=SHAPE)
-    expected = CodedApertureCamera(camera_on("cpu").calibration, camera_on("cpu", quality).config, execution="numpy")
-    frame, oracle = camera_on("gpu", quality).measure(image), expected.measure(image)
-    compiled = camera_on("cpu", quality).measure(image)
-
-    def agreeing(found, other):
-        known = np.isfinite(found.depth_mm) & np.isfinite(other.depth_mm)
-        near = np.zeros(known.shape, bool)
-        near[known] = np.abs(found.depth_mm[known] / other.depth_mm[known] - 1) < 1e-3
-        return (near | (np.isnan(found.depth_mm) & np.isnan(other.depth_mm))).mean()
-
-    assert agreeing(frame, oracle) > least
-    assert agreeing(frame, compiled) > least
-    assert agreeing(oracle, compiled) > least
-    both = np.isfinite(frame.sigma_mm) & np.isfinite(oracle.sigma_mm)
-    assert np.quantile(np.abs(frame.sigma_mm[both] / oracle.sigma_mm[both] - 1), 0.99) < 0.05
-    assert np.quantile(np.abs(frame.color - oracle.color), 0.99) < 1e-3
-
-
-@extra
-@needs_device
+@with_device
 @pytest.mark.parametrize("shape", [(8, 9), (9, 40), (33, 1), (1, 33), (1, 1)])
 @pytest.mark.parametrize("config", [REAL_TIME, PaperConfig().with_range(-2.0, 2.0)], ids=["real-time", "paper"])
 @pytest.mark.parametrize("design", ["cy_halves", "rgb_squares"])
@@ -108,98 +91,66 @@ def test_small_odd_and_narrow_pictures(shape, config, design, rng):
         assert np.median(np.abs(found.value_px - expected.value_px)[known]) < 1e-3
 
 
-@extra
-@needs_device
+@with_device
 @pytest.mark.parametrize(
     ("fill", "words"), [(np.nan, "no usable pixel"), (1.0, "no usable pixel"), (0.4, "the image is constant")]
 )
 def test_a_picture_without_anything_to_match_is_refused_as_on_the_cpu(fill, words):
-    method, _ = real_time()
+    method, _ = method_and_picture()
     image = np.full((*SHAPE, 3), fill, np.float32)
     for each in (method, on_device(method, "gpu", silent)):
         with pytest.raises(InputError, match=words):
             each.match(image)
 
 
-@extra
-@needs_device
-def test_two_frames_are_under_way_at_a_time_and_keep_their_order():
-    method, image = real_time()
-    whole = GpuMethod(method, open_device("gpu"))
-    chain = whole._composed(SHAPE, Extras())
-    other = wavy_capture("cy_halves", shape=SHAPE, seed=8)
-    one_by_one = [chain.run({"image": each}, ["disparity"])["disparity"] for each in (image, other)]
-    pending = [chain.start({"image": each}, ["disparity"]) for each in (image, other)]
-    for each, expected in zip(pending, one_by_one, strict=True):
-        np.testing.assert_array_equal(each.result()["disparity"], expected)
-    assert not np.array_equal(*one_by_one, equal_nan=True)
-
-
-@extra
-@needs_device
+@with_device
 @pytest.mark.parametrize("device", ["cpu", "gpu"])
 def test_photographs_begun_two_at_a_time_are_measured_as_one_by_one(device):
-    whole, part = camera_on(device), camera_on(device, crop_origin_px=(6, 4))
+    whole, part = camera(device), camera(device, crop_origin_px=(6, 4))
     images = [wavy_capture("cy_halves", shape=SHAPE, seed=seed) for seed in (7, 8, 9)]
-    for camera, shown in ((whole, np.s_[:]), (part, np.s_[4:54, 6:80])):
-        assert camera.measures_ahead == (device == "gpu")
-        expected = [camera.measure(image[shown]) for image in images]
-        begun, found = [camera.begin(images[0][shown])], []
+    for each, shown in ((whole, np.s_[:]), (part, np.s_[4:54, 6:80])):
+        assert each.can_pipeline == (device == "gpu")
+        expected = [each.measure(image[shown]) for image in images]
+        under_way, found = [each.submit(images[0][shown])], []
         for image in images[1:]:
-            begun.append(camera.begin(image[shown]))
-            found.append(camera.complete(begun.pop(0)))
-        found.append(camera.complete(begun.pop()))
+            under_way.append(each.submit(image[shown]))
+            found.append(under_way.pop(0).result())
+        found.append(under_way.pop().result())
         for one, other in zip(found, expected, strict=True):
             for name in ("depth_mm", "sigma_mm", "disparity_px", "confidence", "color"):
                 np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
         assert not np.array_equal(found[0].depth_mm, found[1].depth_mm, equal_nan=True)
         with pytest.raises(InputError, match="the image is constant"):
-            camera.complete(camera.begin(np.full_like(images[0][shown], 0.4)))
+            each.submit(np.full_like(images[0][shown], 0.4)).result()
 
 
-@extra
-@needs_device
-def test_a_device_lost_with_two_frames_under_way_leaves_both_to_the_cpu():
-    method, image = real_time()
-    other = wavy_capture("cy_halves", shape=SHAPE, seed=8)
-    device = device_of_its_own()
-    on_both = DeviceMethod(GpuMethod(method, device), method, may_fall_back=True)
-    pending = [on_both.start(each) for each in (image, other)]
-    device.handle.destroy()
-    with pytest.warns(CaptureWarning, match="on the CPU from here on") as said:
-        found = [each.result() for each in pending]
-    assert len(said) == 1
-    for each, one in zip((image, other), found, strict=True):
-        np.testing.assert_array_equal(one.disparity.value_px, method.match(each).value_px)
-
-
-@extra
-@needs_device
-def test_a_device_lost_in_mid_stream_is_an_error_or_the_cpu_once():
-    method, image = real_time()
-    expected = method.match(image)
+@with_device
+@pytest.mark.parametrize("quality", ["real-time", "accurate"])
+def test_a_device_lost_in_mid_stream_is_an_error_or_the_cpu_once(quality):
+    method, image = method_and_picture(quality)
+    pictures = [image, np.ascontiguousarray(image[::-1])]
+    expected = [method.match(each).value_px for each in pictures]
     for may_fall_back in (False, True):
         device = device_of_its_own()
-        on_both = DeviceMethod(GpuMethod(method, device), method, may_fall_back)
-        before = on_both.match(image)
+        on_both = DeviceMethod(opened(method, device), method, may_fall_back)
+        assert np.isfinite(on_both.match(image).value_px).any()
+        pending = [on_both.start(each) for each in pictures]
         device.handle.destroy()
         if not may_fall_back:
             with pytest.raises(DeviceError, match="was lost while it worked; use --device cpu"):
-                on_both.match(image)
+                pending[0].result()
             continue
-        with pytest.warns(CaptureWarning, match="on the CPU from here on"):
-            found = on_both.match(image)
-        np.testing.assert_array_equal(found.value_px, expected.value_px)
-        np.testing.assert_array_equal(on_both.match(image).value_px, expected.value_px)  # without another warning
-        assert np.isfinite(before.value_px).any()
+        with pytest.warns(CaptureWarning, match="on the CPU from here on") as said:
+            found = [each.result().disparity.value_px for each in pending]
+        assert len(said) == 1
+        np.testing.assert_array_equal([*found, on_both.match(image).value_px], [*expected, expected[0]])
 
 
-@extra
-@needs_device
-def test_too_little_device_memory_is_an_error_or_the_cpu():
-    method, image = real_time()
-    small = replace(open_device("gpu"), largest_bytes=20_000)
-    on_gpu = GpuMethod(method, small)
+@with_device
+@pytest.mark.parametrize("quality", ["real-time", "accurate"])
+def test_too_little_device_memory_is_an_error_or_the_cpu(quality):
+    method, image = method_and_picture(quality)
+    on_gpu = opened(method, replace(open_device("gpu"), largest_bytes=5_000))
     with pytest.raises(OutOfMemoryError, match="larger than the device's 0 MB; use --device cpu, or --scale"):
         DeviceMethod(on_gpu, method, may_fall_back=False).match(image)
     with pytest.warns(CaptureWarning, match="on the CPU from here on"):
@@ -207,8 +158,7 @@ def test_too_little_device_memory_is_an_error_or_the_cpu():
     np.testing.assert_array_equal(found.value_px, method.match(image).value_px)
 
 
-@extra
-@needs_device
+@with_device
 @pytest.mark.parametrize("design", ["cy_halves", "rgb_squares", "cmy_circles"])
 def test_a_device_of_small_arrays_takes_fewer_layers_at_a_time(design):
     config = PaperConfig().with_range(-3.0, 3.0)
@@ -219,15 +169,18 @@ def test_a_device_of_small_arrays_takes_fewer_layers_at_a_time(design):
     most = 4 * max(array.size for array in large._chain.arrays.values())
     small = GpuMethod(method, replace(open_device("gpu"), largest_bytes=most - 1))
     found = small.match(image).value_px
-    chunks = [sum(d.stage == "running_winner" for d in each._chain.dispatches) for each in (large, small)]
-    assert chunks[1] > chunks[0]
+    whole, chunks = (
+        [d.constants["layer_count"] for d in each._chain.dispatches if d.stage == "running_winner"]
+        for each in (large, small)
+    )
+    assert len(chunks) > len(whole)
+    assert chunks[-1] % 4 != 0  # the last is not filled up with layers
     np.testing.assert_array_equal(found, expected)
 
 
-@extra
-@needs_device
+@with_device
 def test_two_processes_share_a_device(tmp_path):
-    method, image = real_time()
+    method, image = method_and_picture()
     np.save(tmp_path / "image.npy", image)
     program = (
         "import sys, numpy as np\n"
@@ -244,8 +197,7 @@ def test_two_processes_share_a_device(tmp_path):
     np.testing.assert_array_equal(np.load(tmp_path / "found.npy"), found.value_px)
 
 
-@extra
-@needs_device
+@with_device
 def test_info_lists_the_devices_and_depth_measures_on_one(run, tmp_path):
     found = json.loads(run("info", "--devices", "--json").stdout)
     assert [a["name"] for a in found["adapters"]] == [a.name for a in adapters()]
@@ -262,10 +214,9 @@ def test_info_lists_the_devices_and_depth_measures_on_one(run, tmp_path):
     assert "no GPU named 'nosuch': this machine has" in refused.stderr
 
 
-@extra
-@needs_device
+@with_device
 def test_what_the_device_cannot_run_runs_on_the_cpu_and_says_so():
-    calibration = camera_on("cpu").calibration
+    calibration = camera("cpu").calibration
     debiased = PaperConfig(correlation=CorrelationConfig(noise_debiasing=True))
     config = replace(default_config(calibration, "paper"), matcher=debiased)
     with pytest.warns(CaptureWarning, match="run on the CPU"):

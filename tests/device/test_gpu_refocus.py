@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from functools import cache
 
@@ -18,7 +17,7 @@ from chromaperture.matching.device.device import DeviceError, open_device
 from chromaperture.matching.device.refocus_stages import RefocusChain
 from chromaperture.products.samples import open_sample
 from chromaperture.system.errors import CaptureWarning, OutOfMemoryError
-from devices import device_of_its_own, needs_device
+from devices import camera_on, device_of_its_own, needs_device
 
 pytestmark = [pytest.mark.extra("gpu", "wgpu"), needs_device]
 
@@ -65,27 +64,15 @@ def test_it_is_the_picture_of_the_cpu(pupil, scene, focus_px, strength, bokeh):
     np.testing.assert_allclose(found, expected, atol=TOLERANCE)
 
 
-def test_one_chain_serves_one_focus_after_the_other():
-    y, x = np.mgrid[:50, :70]
-    color = np.random.default_rng(1).uniform(0, 1, (50, 70, 3)).astype(np.float32)
-    radius = (np.where(x > 30, 3, -2) + y / 50).astype(np.float32)
-    compositor = RefocusChain(open_device("gpu"), radius.shape).composite
-    for focus in (Focus(3.0), Focus(-2.0, 3.0), Focus(3.0), Focus(0.0, 0.5)):
-        expected = refocus(color, radius, focus)
-        np.testing.assert_allclose(refocus(color, radius, focus, compositor=compositor), expected, atol=TOLERANCE)
-
-
 @cache
-def camera_on(device: str) -> CodedApertureCamera:
+def sample_on(device: str) -> CodedApertureCamera:
     camera, _ = open_sample("still_life_cy_halves", quality="real-time", device="cpu")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", CaptureWarning)  # the device is software
-        return CodedApertureCamera(camera.calibration, camera.config, device=device)
+    return camera_on(device, camera.calibration, camera.config)
 
 
 def test_a_camera_refocuses_where_it_measures():
-    assert compositor_of(camera_on("cpu")) is None
-    compositor = compositor_of(camera_on("gpu"))
+    assert compositor_of(sample_on("cpu")) is None
+    compositor = compositor_of(sample_on("gpu"))
     color, radius = np.ones((40, 40, 3), np.float32), np.linspace(-3, 3, 1600, dtype=np.float32).reshape(40, 40)
     np.testing.assert_allclose(refocus(color, radius, Focus(0.0), compositor=compositor), 1, atol=1e-5)  # no texture
     assert compositor._chain.size == (40, 40)
@@ -96,7 +83,7 @@ def test_a_device_that_is_lost_or_too_small_is_an_error_or_the_cpu():
     color = rng.uniform(0, 1, (40, 50, 3)).astype(np.float32)
     radius = np.where(np.arange(50) > 20, 2.5, -2.5).astype(np.float32) * np.ones((40, 1), np.float32)
     expected = refocus(color, radius, Focus(1.0))
-    behind = camera_on("gpu").method
+    behind = sample_on("gpu").method
     small = replace(behind.on_gpu, device=replace(open_device("gpu"), largest_bytes=16 * radius.size - 1))
     compositor = DeviceCompositor(replace(behind, on_gpu=small))
     np.testing.assert_array_equal(refocus(color, radius, Focus(1.0), compositor=compositor), expected)

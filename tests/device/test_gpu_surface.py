@@ -14,24 +14,13 @@ from chromaperture.matching.device.surface_stages import (
     gaussian_taps,
 )
 from chromaperture.matching.execution import execution_named
-from chromaperture.matching.planes.block_surface import block_sums
 from chromaperture.matching.planes.depth_edges import BLOCK_PX
 from chromaperture.matching.readable.paths import Posterior
 from chromaperture.settings.methods import AccurateConfig
-from chromaperture.settings.stages import SurfaceConfig
 from devices import any_device
+from executions import slanted_volume
 
 pytestmark = pytest.mark.extra("gpu", "wgpu")
-
-
-def volume(rng, height, width, count):
-    """Peaks about a slanted surface with a step, as correlations make them, and a guide with an edge there."""
-    y, x = np.mgrid[:height, :width]
-    truth = 1.5 + (count - 4) * (0.2 + 0.4 * x / width + 0.1 * y / height) + (x > width // 2) * count * 0.2
-    away = np.arange(count) - truth[..., None]
-    likelihood = 2.0 * np.exp(-0.5 * (away / 1.3) ** 2) + rng.gamma(0.3, 0.3, (height, width, count))
-    guide = (x > width // 2) * 1.5 + rng.normal(0, 0.1, (height, width))
-    return likelihood.astype(np.float32), guide.astype(np.float32)
 
 
 def path_surface_on_device(likelihood, guide, layers, config):
@@ -48,10 +37,13 @@ def path_surface_on_device(likelihood, guide, layers, config):
     return PathSurface(layers[0] + step * got["label"].reshape(shape), posterior, blocks)
 
 
-# The second is wider than a path's invocations hold at once, and leaves pixels beside the blocks at two borders.
-@pytest.mark.parametrize(("height", "width", "count"), [(36, 52, 65), (33, 70, 21), (40, 25, 3)])
+# The second is wider than a path's invocations hold at once, and leaves pixels beside the blocks at two borders; the
+# last have one row of blocks, or none.
+@pytest.mark.parametrize(
+    ("height", "width", "count"), [(36, 52, 65), (33, 70, 21), (40, 25, 3), (1, 9, 5), (3, 40, 7), (4, 7, 5)]
+)
 def test_the_surface_its_posterior_and_sums_of_blocks_agree(rng, height, width, count):
-    likelihood, guide = volume(rng, height, width, count)
+    likelihood, guide = slanted_volume(rng, height, width, count)
     layers = np.linspace(-4, 4, count)
     config = AccurateConfig()
     found = path_surface_on_device(likelihood, guide, layers, config.surface)
@@ -62,14 +54,6 @@ def test_the_surface_its_posterior_and_sums_of_blocks_agree(rng, height, width, 
     for at in (found.label_px, expected.posterior.mean_px):
         np.testing.assert_allclose(found.posterior.sigma_px(at), expected.posterior.sigma_px(at), rtol=2e-3, atol=1e-4)
     np.testing.assert_allclose(found.nats, expected.nats, rtol=1e-5)  # 16 numbers of some nats
-
-
-@pytest.mark.parametrize("shape", [(1, 9, 5), (3, 40, 7), (4, 7, 5)])
-def test_pictures_of_one_row_of_blocks_or_none(rng, shape):
-    likelihood, guide = volume(rng, *shape)
-    found = path_surface_on_device(likelihood, guide, np.arange(shape[2]) * 0.5, SurfaceConfig())
-    np.testing.assert_allclose(found.nats, block_sums(likelihood), rtol=1e-5)
-    assert np.isfinite(found.label_px).all()
 
 
 @pytest.mark.parametrize(("sigma", "planes", "parts"), [(1.5, 1, 2), (4.0, 3, 3)])

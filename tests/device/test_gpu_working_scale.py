@@ -11,20 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from chromaperture.matching import readable as stages
-from chromaperture.matching.device.accurate_chain import AccurateOnDevice
 from chromaperture.matching.device.device import Chain, open_device
-from chromaperture.matching.device.gpu_method import DeviceMethod, GpuMethod, on_device
+from chromaperture.matching.device.gpu_method import DeviceMethod, on_device
 from chromaperture.matching.device.view_stages import Reduction, add_reduced, add_upsampled
 from chromaperture.matching.estimate import method_for
 from chromaperture.matching.readable.upsample import Coarse
 from chromaperture.matching.result import Disparity
-from chromaperture.matching.views import guide_weights
 from chromaperture.matching.working_scale import ScaledMethod, coarse_maps, reduced
 from chromaperture.optics.aperture import design_named
-from chromaperture.settings.methods import AccurateConfig, PaperConfig, RealTimeConfig
-from chromaperture.system.errors import InputError
+from chromaperture.settings.methods import RealTimeConfig
 from devices import needs_device
-from worlds import wavy_capture
 
 pytestmark = [pytest.mark.extra("gpu", "wgpu"), needs_device]
 
@@ -129,49 +125,9 @@ def test_maps_of_the_working_scale_at_all_pixels(photograph):
         assert differs.sum() <= 2e-3 * differs.size + 1
 
 
-def scaled(config, scale_px: tuple[int, int]) -> ScaledMethod:
-    method = method_for(config, aperture="cy_halves", execution="numpy")
-    return ScaledMethod(method, config, scale_px, design_named("cy_halves"), stages)
-
-
-@pytest.mark.parametrize(
-    "config", [RealTimeConfig().with_range(-2, 2), PaperConfig().with_range(-2, 2)], ids=["real-time", "paper"]
-)
-def test_the_whole_method(config):
-    image = wavy_capture("cy_halves", shape=(120, 165))
-    method = scaled(config, (82, 60))
-    both = on_device(method, "gpu", lambda note: None)
-    assert isinstance(both, DeviceMethod)
-    assert isinstance(both.on_gpu, GpuMethod)
-    np.testing.assert_array_equal(both.on_gpu.reduction.guide_rgb, guide_weights(method.aperture))
-    check_alike(both, method, image)
-
-
-def test_of_accurate_the_cpu_reduces_and_enlarges():
-    image = wavy_capture("cy_halves", shape=(120, 165))
-    method = scaled(AccurateConfig().with_range(-2, 2), (82, 60))
-    both = on_device(method, "gpu", lambda note: None)
-    assert isinstance(both, ScaledMethod)
-    assert isinstance(both.method.on_gpu, AccurateOnDevice)
-    check_alike(both, method, image)
-
-
-def check_alike(both, method, image):
-    found, expected = both.match(image), method.match(image)
-    same = np.isclose(found.value_px, expected.value_px, atol=0.01, equal_nan=True)
-    assert same.mean() > 0.995
-    known = np.isfinite(found.value_px) & np.isfinite(expected.value_px)
-    assert known.mean() > 0.5
-    assert np.quantile(np.abs(found.sigma_px / expected.sigma_px - 1)[known], 0.99) < 0.05
-    assert np.quantile(np.abs(found.confidence - expected.confidence)[known], 0.99) < 0.02
-    for refused in (np.full_like(image, np.nan), np.full_like(image, 0.4)):
-        for each in (both, method):
-            with pytest.raises(InputError, match=r"no usable pixel|the image is constant"):
-                each.match(refused)
-
-
 def test_what_has_no_room_on_the_device_is_reduced_by_the_cpu():
-    method = scaled(RealTimeConfig().with_range(-2, 2), (82, 60))
+    matching = method_for(RealTimeConfig().with_range(-2, 2), aperture="cy_halves", execution="numpy")
+    method = ScaledMethod(matching, matching.config, (82, 60), design_named("cy_halves"), stages)
     found = on_device(method, "gpu", lambda note: None, pixels=open_device("gpu").largest_bytes)
     assert isinstance(found, ScaledMethod)
     assert isinstance(found.method, DeviceMethod)

@@ -72,33 +72,19 @@ def config_of(**surface):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("execution", ["numba", "numpy"])
-def test_a_surface_is_found_with_an_error_bar(execution):
+@pytest.mark.parametrize(("execution", "kind"), [("numba", "views"), ("numpy", "views"), ("numba", "none")])
+def test_a_surface_is_found_with_an_error_bar(execution, kind):
     rng = np.random.default_rng(2)
     truth = wall((20, 24)) if execution == "numpy" else wall()
     likelihood = log_likelihood(correlation_volume(rng, truth), view_count=2)
-    surface = surface_of(likelihood, config=config_of(slope_penalty=1.5, jump_penalty=3), execution=execution)
+    config = config_of(slope_penalty=1.5, jump_penalty=3, learned_error_bar=kind)
+    surface = surface_of(likelihood, config=config, execution=execution)
     alone = np.abs(LAYERS_PX[likelihood.argmax(axis=2)] - truth).mean()
     assert np.isfinite(surface.disparity_px).all()
     # A sixth of a layer is found; of single pixels half a layer.
     assert np.abs(surface.disparity_px - truth).mean() < 0.1 < alone
     assert (surface.sigma_px > 0).all()
     assert np.median(surface.peak) == pytest.approx(0.6, abs=0.15)  # the correlation put in; noise is 0.15
-
-
-@pytest.mark.parametrize("shape", [(14, 17), (24, 31)])
-@pytest.mark.parametrize("kind", ["views", "none"])
-def test_executions_agree_on_a_surface(shape, kind):
-    rng = np.random.default_rng(3)
-    truth = wall(shape)
-    likelihood = log_likelihood(correlation_volume(rng, truth), view_count=2)
-    guide = rng.uniform(0, 1, truth.shape)
-    fast, slow = (
-        surface_of(likelihood, guide, config=config_of(learned_error_bar=kind), execution=name)
-        for name in ("numba", "numpy")
-    )
-    for one, other in zip(fast, slow, strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-3)  # float32 against float64 paths of tens of nats
 
 
 @pytest.mark.parametrize("shape", [(5, 30), (30, 5), (1, 30), (7, 7)])
@@ -199,14 +185,6 @@ def test_two_view_spaces_of_different_scale_are_matched_as_one():
     # A layer itself: there interpolation has no bias, and what the noise does is smoothed away.
     assert np.abs(measured(image, spaces, (IDENTITY, larger)) - truth).max() < 0.03
     assert np.abs(measured(image, spaces, (IDENTITY, IDENTITY)) - truth).mean() > 0.05  # labels that do not fit
-
-
-def test_saturated_pixels_are_no_evidence():
-    rng = np.random.default_rng(6)
-    image = half_pupil_image(rng, 1.0, noise=0.02)
-    image[10:20, 10:30] = half_pupil_image(rng, -2.0, noise=0.02)[10:20, 10:30]
-    image[6:24, 4:36, 2] = 1.0
-    assert np.abs(measured(image, (halves(),)) - 1.0).max() < 0.1  # a fifth of a layer, 3.0 px from the wrong plane
 
 
 def curved_lens(shape):

@@ -11,12 +11,10 @@ from scipy.ndimage import median_filter
 from chromaperture.matching.accurate import known_blocks
 from chromaperture.matching.execution import execution_named
 from chromaperture.matching.planes.block_surface import (
-    NO_EDGE,
     BlockSurface,
     at_pixels,
     block_means,
     block_sums,
-    depth_edges_of,
     of_pixels,
     read_along,
     speaks_against,
@@ -54,13 +52,6 @@ def test_volumes_are_read_linearly_and_at_their_ends_beyond(seed: int, count: in
     found = read_along(nats, label)
     for y, x in np.ndindex(label.shape):
         assert found[y, x] == pytest.approx(np.interp(label[y, x], np.arange(count), nats[y, x]), abs=1e-5)
-
-
-def test_pictures_of_few_pixels_show_no_depth_edges() -> None:
-    odds = depth_edges_of(np.full((7, 30, 3), 0.4, np.float32))
-    assert odds.shape == (2, 1, 7)
-    assert (odds == NO_EDGE).all()
-    assert depth_edges_of(np.full((17, 30, 3), 0.4, np.float32)).shape == (2, 4, 7)
 
 
 # ---- from blocks to pixels

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from chromaperture.matching.planes.block_surface import NO_EDGE, depth_edges_of
-from chromaperture.matching.planes.depth_edges import BLOCK_PX, MODEL, contrast, edge_log_odds
+from chromaperture.matching.planes.depth_edges import BLOCK_PX, contrast, edge_log_odds
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.pinhole import focused_at
 from chromaperture.optics.prescription import load_lens
@@ -74,10 +74,6 @@ def test_any_size_has_an_answer_for_every_whole_block(height: int, width: int, s
 def test_an_even_photograph_has_no_edges(light: float) -> None:
     assert (edge_log_odds(np.full((96, 128, 3), light)) < 0).all()
     assert np.abs(contrast(np.full((8, 8, 3), light))).max() < 1e-9  # rounding of the mean over the least range
-
-
-def test_the_network_is_small() -> None:
-    assert len(MODEL.read_bytes()) < 1_000_000
 
 
 def test_pictures_too_small_for_the_network_show_no_edges() -> None:

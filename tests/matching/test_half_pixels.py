@@ -1,13 +1,11 @@
 """A dual-pixel sensor: its rays, the blur model of a lens from its prescription, and scores of its photographs."""
 
 import json
-from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS, centroids
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, displacement, sample_pupil
 from chromaperture.optics.pinhole import PupilCamera, focused_at, pupil_camera
@@ -87,17 +85,6 @@ def test_the_model_of_a_prescription_says_where_its_rays_meet_the_sensor():
     assert lit.sum() > 20
     # The lens's distortion, 2 % here, is in the model and not in the line above.
     np.testing.assert_allclose(found[lit], beside[lit], atol=0.05 * np.abs(beside[lit]).max())
-
-
-def test_a_camera_file_without_the_sensors_crosstalk_is_of_film(tmp_path):
-    camera = replace(dual.uncalibrated((64, 96, 3)), blur=BlurModel(5.0, 8000.0, contrast_fall=1.2))
-    field = dual._two_board_field({600.0: flat(-0.5), 1500.0: flat(0.3)}, 0)
-    camera = replace(camera, depth={"real-time": field}, near_mm=350.0, far_mm=9000.0)
-    camera.save(tmp_path / "new.asdf")
-    assert Calibration.load(tmp_path / "new.asdf").blur.contrast_fall == 1.2
-    old = (tmp_path / "new.asdf").read_bytes().replace(b"contrast_fall: 1.2", b"contrast_gone: 1.2")
-    (tmp_path / "old.asdf").write_bytes(old)
-    assert Calibration.load(tmp_path / "old.asdf").blur.contrast_fall == 0.0
 
 
 def flat(value):

@@ -21,7 +21,7 @@ from chromaperture.matching.integer_light import (
     smoothing_taps,
     whole_taps,
 )
-from chromaperture.matching.readable.correlation import SAMPLING, _CellWindow
+from chromaperture.matching.readable.correlation import SAMPLING
 from chromaperture.matching.views import halved_views, smooth
 from chromaperture.settings.methods import RealTimeConfig
 from worlds import wavy_capture
@@ -67,19 +67,6 @@ def test_whole_smoothing_is_smoothing(rng, sigma_px):
     # Three roundings, and weights of 1 / 1024 where the light differs by 0.4 at the most.
     apart = np.abs((found - found.mean()) - (expected - expected.mean())).max()
     assert apart < 2 * unit + 0.4 * len(smoothing_taps(sigma_px)) / TAP_PARTS
-
-
-def test_sums_of_windows_are_exact(rng):
-    """Whole numbers in 32 bits have the covariances of 64 bits: neither order nor fusing can change them."""
-    views = [np.round(rng.normal(0, 60, (40, 50)) + 3000) for _ in range(2)]
-    single, double = ([_CellWindow.of(view.astype(kind)) for view in views] for kind in (np.float32, np.float64))
-    inner = np.s_[2:-2, 2:-2]  # views are rolled: their ends lie beside each other
-    for a, b in ((0, 0), (0, 1), (1, 1)):
-        found, exact = (w[a].covariance(w[b])[inner] for w in (single, double))
-        assert found.dtype == np.float32
-        long = np.abs(exact) > 2**24
-        np.testing.assert_array_equal(found[~long], exact[~long])
-        np.testing.assert_allclose(found[long], exact[long], rtol=4e-7)  # sums above 2^24 are rounded, six times
 
 
 @pytest.mark.parametrize("design", ["cy_halves", "cmy_circles"])

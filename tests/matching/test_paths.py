@@ -8,22 +8,8 @@ import pytest
 from chromaperture.matching import compiled as cpu
 from chromaperture.matching import readable as stages
 from chromaperture.matching.accurate import least_cost
-from chromaperture.matching.compiled.paths import line_starts
 from chromaperture.matching.labels import IDENTITY
-from chromaperture.matching.readable.paths import LINES
 from chromaperture.settings.stages import SurfaceConfig
-
-LAYERS_PX = np.arange(-2.0, 3.01, 0.5)
-
-
-def slanted_wall(rng, shape=(48, 64)):
-    """A slanted wall with a square before it, and a likelihood too weak to decide a single pixel."""
-    y, x = np.mgrid[: shape[0], : shape[1]]
-    near = (abs(y - shape[0] / 2) < 12) & (abs(x - shape[1] / 2) < 16)
-    truth = np.where(near, -1.3, 0.5 + 1.5 * x / shape[1])
-    guide = np.where(near, 4.0, 0.0)
-    likelihood = -((LAYERS_PX - truth[..., None]) ** 2) * 0.5 + rng.normal(0, 1.0, (*shape, len(LAYERS_PX)))
-    return truth, guide, likelihood.astype(np.float32)
 
 
 @pytest.mark.parametrize("run", [stages, cpu])
@@ -52,27 +38,6 @@ def test_two_opposed_paths_find_the_best_layers_of_a_row(run):
         least - least.min(axis=1, keepdims=True),
         atol=1e-5,  # float32
     )
-
-
-def test_lines_of_a_family_visit_every_pixel_once():
-    for height, width in ((5, 8), (8, 5), (1, 4), (4, 1)):
-        for dx, dy in LINES:
-            seen = np.zeros((height, width), int)
-            for x, y, count in line_starts(height, width, dx, dy):
-                for i in range(count):
-                    seen[y + i * dy, x + i * dx] += 1
-            assert (seen == 1).all()
-
-
-def test_a_surface_too_weak_for_single_pixels_is_found():
-    truth, guide, likelihood = slanted_wall(np.random.default_rng(5))
-    config = SurfaceConfig(slope_penalty=6, jump_penalty=6)
-    alone = LAYERS_PX[likelihood.argmax(axis=2)]
-    cost = cpu.aggregate_paths(likelihood, guide, LAYERS_PX, config=config)
-    paths = LAYERS_PX[cost.argmin(axis=2)]
-    wrong = [np.mean(abs(d - truth) > 0.4) for d in (alone, paths)]
-    assert wrong[0] > 0.4  # 0.59 is found: single pixels fail
-    assert wrong[1] < 0.35 * wrong[0]  # 0.28 of it is found
 
 
 def test_penalties_do_not_depend_on_the_layer_step():

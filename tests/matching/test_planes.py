@@ -12,7 +12,6 @@ from chromaperture.matching.planes.fit import (
     DRAW_BITS,
     MOST_PLANES,
     Proposal,
-    blocks_of_pixels,
     distinct,
     drawn,
     draws_of,
@@ -20,8 +19,6 @@ from chromaperture.matching.planes.fit import (
     tiles_of,
 )
 from chromaperture.matching.readable.planes import PlaneCosts
-from chromaperture.settings.stages import PlanesConfig
-from chromaperture.system.errors import InputError
 
 SLOW, FAST = execution_named("numpy"), execution_named("numba")
 LABELS_PX = np.arange(-3.0, 3.01, 0.1)
@@ -69,15 +66,6 @@ def test_the_planes_of_two_surfaces_are_proposed(tiles_px: tuple[int, ...], seed
         assert np.abs((found - plane) @ corners.T).max(axis=1).min() < 0.3
 
 
-def test_proposals_are_the_same_in_both_executions() -> None:
-    rng = np.random.default_rng(5)
-    label = (plane_label(np.array([0.03, 0.05, 8.0]), 96, 120) + rng.normal(0, 0.3, (96, 120))).astype(np.float32)
-    slow, fast = (plane_proposals(label, np.full(label.shape, 0.4), (48, 96), run=run) for run in (SLOW, FAST))
-    assert len(slow) == len(fast)
-    corners = np.array([[0, 0, 1], [119, 0, 1], [0, 95, 1]])
-    np.testing.assert_allclose(fast @ corners.T, slow @ corners.T, atol=1e-3)  # votes in single precision
-
-
 def test_nothing_is_proposed_of_a_picture_of_few_pixels() -> None:
     found = plane_proposals(np.full((5, 7), 3.0, np.float32), np.full((5, 7), 0.1), (48, 96), run=FAST)
     assert found.shape == (0, 3)
@@ -121,26 +109,3 @@ def test_draws_are_points_and_the_same_for_a_tile(tile: int, count: int) -> None
     assert points.max() < count
     # 480 draws of every point alike: the mean of a uniform one is known to a fifth of its spread over the root of 480.
     assert abs(points.mean() - (count - 1) / 2) < 5 * count * 0.29 / 480**0.5 + 1e-9
-
-
-def test_blocks_of_pixels_are_whole_squares_and_the_rest_belongs_to_the_last() -> None:
-    rows, columns = blocks_of_pixels((11, 8), (2, 2), 4)
-    assert rows.tolist() == [0, 0, 0, 0, 1, 1, 1, 1, 1, 1, 1]
-    assert columns.tolist() == [0, 0, 0, 0, 1, 1, 1, 1]
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"tiles_px": ()},
-        {"tiles_px": (4,)},
-        {"plane_penalty": -1.0},
-        {"border_nats": float("nan")},
-        {"edge_block_weight": 1.5},
-        {"max_block_nats": -1.0},
-        {"known_from_nats": float("inf")},
-    ],
-)
-def test_settings_that_make_no_sense_are_refused(wrong: dict) -> None:
-    with pytest.raises(InputError):
-        PlanesConfig(**wrong)

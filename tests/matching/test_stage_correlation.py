@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.interpolate import BSpline
 
 from chromaperture.matching.readable.correlation import (
     SAMPLING,
@@ -43,21 +42,7 @@ def test_exponential_window_is_the_direct_sum_over_the_endless_picture(rng, deca
     np.testing.assert_allclose(exponential_window(maps, decay), direct, atol=1e-12)  # float64 recursions
 
 
-def test_exponential_window_treats_every_view_alike(rng):
-    maps = rng.normal(0, 1, (12, 17, 3))
-    each = np.stack([exponential_window(maps[..., k], 0.8) for k in range(3)], axis=-1)
-    np.testing.assert_array_equal(exponential_window(maps, 0.8), each)
-
-
 # ---- shift
-
-
-@pytest.mark.parametrize("offset", [(0, 0), (3, 0), (-2, 0), (0, 4), (-1, -5), (40, 0)])
-def test_shift_by_whole_pixels_picks_pixels(rng, offset):
-    view = rng.normal(0, 1, (15, 20))
-    x, y = np.meshgrid(np.arange(20) + offset[0], np.arange(15) + offset[1])
-    expected = view[np.clip(y, 0, 14), np.clip(x, 0, 19)]
-    np.testing.assert_array_equal(shift(view, np.array(offset, float)), expected)
 
 
 @given(dx=st.floats(-3, 3), dy=st.floats(-3, 3))
@@ -69,28 +54,6 @@ def test_shift_is_exact_for_parabolas(dx, dy):
     inner = (slice(6, -6), slice(6, -6))  # the border is replicated, not continued as a parabola
     found = shift(picture(x, y), np.array([dx, dy]))
     np.testing.assert_allclose(found[inner], picture(x + dx, y + dy)[inner], atol=1e-12)  # float64
-
-
-def test_shift_of_band_limited_texture_has_the_error_of_cubic_convolution():
-    """Catmull-Rom is of third order: twice as many samples a period, an eighth of the error."""
-
-    def worst_error(period_px):
-        x = np.arange(240.0)
-        wave = np.tile(np.sin(2 * np.pi * x / period_px), (3, 1))
-        found = shift(wave, np.array([0.3, 0.0]))[:, 20:-20]
-        return np.abs(found - np.sin(2 * np.pi * (x + 0.3) / period_px)[20:-20]).max()
-
-    errors = np.array([worst_error(period) for period in (8.0, 16.0, 32.0, 64.0)])
-    assert errors[1] < 3e-3  # 1e-3 is found, at 16 px a period
-    # the next order of the error, relative 1 / period, is left
-    np.testing.assert_allclose(np.log2(errors[1:-1] / errors[2:]), 3, atol=0.15)
-
-
-@given(st.floats(0, 1, exclude_max=True))
-def test_smoothing_weights_of_a_third_are_those_of_a_cubic_b_spline(phase):
-    spline = BSpline.basis_element(np.arange(-2.0, 3.0))
-    expected = np.nan_to_num(spline(phase - np.arange(-1, 3), extrapolate=False))
-    np.testing.assert_allclose(smoothed_cubic_taps(phase, variance_px2=1 / 3), expected, atol=1e-15)
 
 
 @given(st.floats(0, 1, exclude_max=True), st.floats(0, 1), st.integers(0, 2**32 - 1))

@@ -35,7 +35,7 @@ from chromaperture.settings.stages import (
 )
 from chromaperture.system.errors import InputError
 from chromaperture.system.threads import limited_threads
-from executions import COMPILED, READABLE, READABLE_AND_COMPILED, SHADERS, compiled_run, shaders_run
+from executions import COMPILED, READABLE, READABLE_AND_COMPILED, SHADERS, compiled_run, shaders_run, slanted_volume
 from worlds import ALL_DESIGNS, NARROW, hostile_images, space_of, spectral_example, wavy_capture
 
 LAYERS_PX = np.arange(-3.0, 3.01, 0.5)
@@ -103,16 +103,17 @@ def enlarged(rng, draw, shape):
 
 
 def path_volume(rng, draw, shape):
-    """Peaks about a slanted surface with a step, as correlations make them, and a guide with an edge there."""
-    (height, width), count = shape, int(draw.choice([3, 9, 21, 70]))
-    y, x = np.mgrid[:height, :width]
-    truth = 1.5 + (count - 4) * (0.2 + 0.4 * x / width + 0.1 * y / height) + (x > width // 2) * count * 0.2
-    likelihood = 2.0 * np.exp(-0.5 * ((np.arange(count) - truth[..., None]) / 1.3) ** 2)
-    likelihood = (likelihood + rng.gamma(0.3, 0.3, (height, width, count))).astype(np.float32)
-    guide = ((x > width // 2) * 1.5 + rng.normal(0, 0.1, shape)).astype(np.float32)
+    count = int(draw.choice([3, 9, 21, 70]))
+    likelihood, guide = slanted_volume(rng, *shape, count)
     slope, jump = draw.uniform(0.1, 20, 2)
     config = SurfaceConfig(paths=int(draw.choice([4, 8])), slope_penalty=slope, jump_penalty=jump)
     return Given((likelihood, guide, 0.25 * np.arange(count)), {"config": config})
+
+
+def path_costs(rng, draw, shape):
+    layers = int(draw.integers(1, 10))
+    cost = rng.uniform(0, 50, (*shape, layers)).astype(np.float32)
+    return Given((cost, np.arange(layers) * 0.5), {"temperature": draw.uniform(0.2, 5)})
 
 
 def read_volume(rng, draw, shape):
@@ -156,6 +157,16 @@ def spectral_windows(rng, draw, shape):
     return Given(spectral_example(np.random.default_rng(13), windows=shape[0]), options)
 
 
+def alike_windows(rng, draw, shape):
+    """Channels that have 0.002 of their power for themselves, and no noise: near singular."""
+    # Seven windows: of others rounding decides whether a step is taken as a whole.
+    (spectra, powers, node, noise), options = spectral_windows(rng, draw, (7, 1))
+    alike = np.repeat(spectra[:, :1], 3, axis=1) * np.array([1, 0.9, 0.8], np.float32)[:, None]
+    powers[:, :, 1:3], powers[:, :, 3::2], powers[:, :, 4::2] = powers[:, :, :1], powers[:, :, :1], 0
+    given = (alike + 0.03 * spectra).astype(np.complex64), powers, node, np.full_like(noise, 1e-4)
+    return Given(given, options | {"channel_error": 0.002})
+
+
 def parts(found) -> list[np.ndarray]:
     """The arrays that a stage returns."""
     return [found] if isinstance(found, np.ndarray) else list(found)
@@ -168,8 +179,8 @@ class Stage(NamedTuple):
     """
 
     make: Callable[[np.random.Generator, np.random.Generator, tuple[int, int]], Given]
-    rtol: float = 0.0
-    atol: float = 0.0
+    rtol: float | tuple[float, ...] = 0.0  # for every part, or one for each
+    atol: float | tuple[float, ...] = 0.0
     other: float = 0.0  # share of the numbers that may differ by more
     finite: bool = True  # all that the stage returns
     in_shaders: tuple[float, float] | None = None  # ``rtol`` and ``atol`` of shaders, where they have the stage
@@ -180,6 +191,8 @@ STAGES = {
     "smooth_along_surface": Stage(smoothed, rtol=1e-4, in_shaders=(1e-4, 0.0)),
     "enlarge": Stage(enlarged, atol=2e-6, finite=False),  # float32 numbers up to 2, fused or not
     "aggregate_paths": Stage(path_volume, atol=2e-4, in_shaders=(0.0, 2e-3)),  # float32 sums of 8 costs of some 30 nats
+    # Mean and variance: float32 exponents of up to 250 have errors of 1e-5; a variance of 0 keeps those of the mean.
+    "posterior": Stage(path_costs, rtol=(1e-5, 1e-4), atol=(1e-5, 1e-6)),
     # float32 fractions e^-2l: what is lost near 1 is 1e-7 of a nat's slope, and places are float32 too
     "read_at_labels": Stage(read_volume, rtol=1e-3, atol=1e-3),
     "plane_costs": Stage(planes_of_labels, atol=2e-4),  # float32 volumes between labels a tenth apart
@@ -188,9 +201,10 @@ STAGES = {
     "upsample": Stage(working_scale, rtol=1e-5, atol=1e-6, other=1e-3, finite=False),
     # float32 sums of some hundred nats
     "spectral_likelihood": Stage(spectral_windows, rtol=1e-5, in_shaders=(0.0, 5e-4)),
+    "spectral_likelihood of alike channels": Stage(alike_windows, rtol=2e-4, in_shaders=(0.0, 0.02)),
 }
 # Every size is compiled anew for shaders, and has its own settings.
-FEW_SHAPES = st.sampled_from([(1, 2), (7, 1), (24, 20), (12, 31)])
+FEW_SHAPES = st.sampled_from([(1, 2), (7, 1), (24, 20), (12, 31), (45, 70)])
 
 
 def check_agreement(run, name: str, seed: int, shape: tuple[int, int]) -> None:
@@ -198,11 +212,12 @@ def check_agreement(run, name: str, seed: int, shape: tuple[int, int]) -> None:
     case = stage.make(np.random.default_rng(seed), np.random.default_rng(shape), shape)
     found, expected = (parts(getattr(each, function)(*case.arguments, **case.options)) for each in (run, READABLE))
     rtol, atol = (stage.rtol, stage.atol) if run is COMPILED else stage.in_shaders
-    for one, other in zip(found, expected, strict=True):
+    limits = (np.broadcast_to(limit, len(expected)) for limit in (rtol, atol))
+    for one, other, relative, absolute in zip(found, expected, *limits, strict=True):
         assert one.shape == other.shape
         assert np.isfinite(other).all() or not stage.finite
         np.testing.assert_array_equal(np.isnan(one), np.isnan(other))
-        differs = ~np.isclose(one, other, rtol=rtol, atol=atol, equal_nan=True)
+        differs = ~np.isclose(one, other, rtol=relative, atol=absolute, equal_nan=True)
         assert differs.mean() <= stage.other, np.nanmax(np.abs(one - other))
 
 
@@ -219,21 +234,6 @@ def test_compiled_stages_agree(name, seed, shape):
 @given(SEEDS, FEW_SHAPES)
 def test_stages_in_shaders_agree(name, seed, shape):
     check_agreement(SHADERS, name, seed, shape)
-
-
-@settings(max_examples=30, deadline=None)
-@given(SHAPES, SEEDS, st.integers(1, 9), st.floats(0.2, 5))
-def test_posteriors_agree(shape, seed, layers, temperature):
-    rng = np.random.default_rng(seed)
-    layers_px = np.arange(layers) * 0.5
-    cost = rng.uniform(0, 50, (*shape, layers)).astype(np.float32)
-    disparity_px = rng.uniform(0, 4, shape)
-    found, expected = (run.posterior(cost, layers_px, temperature=temperature) for run in (COMPILED, READABLE))
-    # Float32 exponents of up to 250 have errors of 1e-5; a variance of 0 keeps those of the mean.
-    np.testing.assert_allclose(found.mean_px, expected.mean_px, rtol=1e-5, atol=1e-5)
-    np.testing.assert_allclose(found.variance_px2, expected.variance_px2, rtol=1e-4, atol=1e-6)
-    sigmas = (part.sigma_px(disparity_px) for part in (found, expected))
-    np.testing.assert_allclose(*sigmas, rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("shape", [(1, 7), (1, 8), (5, 13), (16, 16)])
@@ -438,58 +438,34 @@ def test_scores_agree(run, design, shape, count, decay):
         np.testing.assert_allclose(found[clear], expected[clear], atol=SCORE_TOLERANCE)  # derived at its definition
 
 
-@pytest.mark.parametrize("design", ALL_DESIGNS)
-def test_best_layers_agree_for_every_design(design):
-    assert_agree(views_of(wavy_capture(design), design), NARROW)
+CHANGES = [
+    {"correlation": CorrelationConfig(noise_debiasing=False)},
+    {"bilateral": BilateralConfig(texture_weighting=False)},
+    {"bilateral": BilateralConfig(sigma_px=0.0)},
+    {
+        "bilateral": BilateralConfig(sigma_px=30.0, texture_weighting=True),
+        "correlation": CorrelationConfig(0.9, noise_debiasing=True),
+    },
+    {
+        "correlation": CorrelationConfig(0.3, noise_debiasing=True, sampling="catmull-rom"),
+        "views": ViewsConfig(presmooth_sigma_px=0.0),
+    },
+    *({"layers": LayersConfig(-3.0, 4.0, step_px)} for step_px in (0.25, 0.3, 1.0, 3.5)),
+    *({"layers": LayersConfig(*range_px, 0.5)} for range_px in ((-5.1, 2.9), (1.0, 16.0), (-12.0, 12.0))),
+]
 
 
-@pytest.mark.parametrize("design", ["cy_halves", "cmy_squares"])
 @pytest.mark.parametrize(
-    "change",
+    ("design", "change"),
     [
-        {"correlation": CorrelationConfig(noise_debiasing=False)},
-        {"bilateral": BilateralConfig(texture_weighting=False)},
-        {"bilateral": BilateralConfig(sigma_px=0.0)},
-        {
-            "bilateral": BilateralConfig(sigma_px=30.0, texture_weighting=True),
-            "correlation": CorrelationConfig(0.9, noise_debiasing=True),
-        },
-        {
-            "correlation": CorrelationConfig(0.3, noise_debiasing=True, sampling="catmull-rom"),
-            "views": ViewsConfig(presmooth_sigma_px=0.0),
-        },
-        {"layers": LayersConfig(-3.0, 4.0, 0.25)},
-        {"layers": LayersConfig(-5.0, 3.0, 1.0)},
-        {"layers": LayersConfig(-3.1, 4.0, 0.3)},
-        {"layers": LayersConfig(-4.0, 4.0, 4.0)},
-        {"layers": LayersConfig(1.0, 16.0, 0.5)},
-        {"layers": LayersConfig(-12.0, 12.0, 0.5)},
+        *((design, {}) for design in ALL_DESIGNS),
+        *((design, change) for design in ("cy_halves", "cmy_squares") for change in CHANGES),
     ],
-    ids=lambda change: ",".join(f"{k}={v}" for k, v in change.items()),
+    ids=str,
 )
-def test_best_layers_agree_for_every_setting(design, change):
+def test_best_layers_agree(design, change):
     config = replace(NARROW, **change)
     assert_agree(views_of(wavy_capture(design), design, config.views), config)
-
-
-@pytest.mark.parametrize("design", ["cy_halves", "cmy_circles"])
-@pytest.mark.parametrize("shape", [(8, 8), (8, 65), (33, 9), (50, 64), (47, 101)])
-def test_best_layers_agree_for_every_size(design, shape):
-    config = replace(NARROW, layers=LayersConfig(-3.0, 3.0))
-    image = wavy_capture(design, shape=(64, 104), saturated=False)[: shape[0], : shape[1]]
-    views = views_of(image, design)
-    clear = textured(views, config.correlation.window_decay)
-    scores = [run.correlate(views, config.layers.values_px, config=config.correlation) for run in (COMPILED, READABLE)]
-    np.testing.assert_allclose(scores[0][clear], scores[1][clear], atol=SCORE_TOLERANCE)  # derived at its definition
-    found, expected = bilateral_winners(views, config)
-    peaked = clear & (expected.curvature > FLAT_CURVATURE)
-    np.testing.assert_allclose(
-        # Derived at its definition.
-        found.disparity_px[peaked],
-        expected.disparity_px[peaked],
-        atol=DISPARITY_TOLERANCE_PX,
-        equal_nan=True,
-    )
 
 
 @pytest.mark.parametrize("design", ["cy_halves", "rgb_circles"])
@@ -558,14 +534,6 @@ def test_calls_do_not_disturb_each_other():
     for i, winner in enumerate(together):
         for a, b in zip(winner, alone[i % 2], strict=True):
             np.testing.assert_array_equal(a, b)
-
-
-@pytest.mark.parametrize("shape", [(1, 20), (20, 1), (2, 1), (1, 2)])
-def test_pictures_one_px_wide_or_high_agree(shape):
-    image = np.random.default_rng(1).uniform(0, 0.9, (*shape, 3)).astype(np.float32)
-    views = filtered_views(image, space_of("cy_halves"), config=NARROW.views)
-    found, expected = (run.correlate(views, LAYERS_PX, config=NARROW.correlation) for run in (COMPILED, READABLE))
-    np.testing.assert_allclose(found, expected, atol=SCORE_TOLERANCE)  # derived at its definition
 
 
 @settings(max_examples=40, deadline=None)

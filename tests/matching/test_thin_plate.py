@@ -19,7 +19,6 @@ from chromaperture.matching.planes.thin_plate import (
     thin_plate,
 )
 from chromaperture.settings.stages import PlateConfig
-from chromaperture.system.errors import InputError
 
 CONFIG = PlateConfig()
 LABELS = np.arange(41.0)
@@ -144,7 +143,7 @@ def smoothness(u: np.ndarray, links: np.ndarray, config: PlateConfig) -> float:
 @pytest.mark.parametrize("seed", range(2))
 def test_the_plate_is_where_a_general_purpose_minimiser_ends(seed: int, bend_labels: float) -> None:
     rng = np.random.default_rng(seed)
-    shape, count = (6, 7), 9
+    shape, count = (5, 6), 9
     config = PlateConfig(
         rounds=100, bend_penalty=0.3, bend_labels=bend_labels, slope_penalty=0.05, smoothed_labels=0.05,
         evidence_share=1.0,
@@ -244,12 +243,6 @@ def test_evidence_is_worth_its_share_and_never_more_than_the_bound() -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-30)  # float32
 
 
-def test_small_losses_keep_their_size() -> None:
-    nats = np.array([[[0.0, -0.1, -0.2]] * 2] * 2, np.float32)
-    found = tempered(nats, no_edges(2, 2), config=PlateConfig(evidence_share=0.5, max_block_nats=3.0))
-    np.testing.assert_allclose(np.diff(found, axis=2), -0.05, rtol=0.03)  # 0.1 of 3 nats, to second order
-
-
 def test_smoothing_along_labels_is_that_of_a_gaussian_and_repeats_beyond_the_ends() -> None:
     nats = np.zeros((2, 3, 15), np.float32)
     nats[0, 1, 7], nats[1, 2, :] = 1.0, 5.0
@@ -269,21 +262,3 @@ def test_slope_and_curvature_are_those_of_the_parabola() -> None:
         slope, curvature = at_labels(nats, np.full((1, 3), label))
         np.testing.assert_allclose(slope, [[-2 * (label - 4.3), 2 * (label - 4.3), 0]], atol=1e-5)  # float32 of 20
         np.testing.assert_allclose(curvature, [[2, 0, 0]], atol=1e-5)  # upwards there is no peak to go to
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"rounds": 0},
-        {"rounds": 1_000_000},
-        {"evidence_share": 0.0},
-        {"bend_labels": -1.0},
-        {"slope_penalty": float("nan")},
-        {"edge_block_weight": -0.1},
-        {"edge_log_odds": float("inf")},
-        {"own_evidence_nats": -1.0},
-    ],
-)
-def test_settings_that_make_no_sense_are_refused(wrong: dict) -> None:
-    with pytest.raises(InputError):
-        PlateConfig(**wrong)
