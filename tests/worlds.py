@@ -20,10 +20,12 @@ from chromaperture.matching.estimate import estimate_disparity
 from chromaperture.matching.views import ViewSpace, view_spaces
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import CameraSensor, Film, Lens
-from chromaperture.optics.aperture import DESIGNS
+from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.pinhole import PupilCamera, centered_pinhole
+from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.simulator.scene import Plane, plane
+from chromaperture.optics.simulator.session import SessionPlan, write_session
 from chromaperture.optics.simulator.textures import noise
 from chromaperture.settings.methods import PaperConfig
 from chromaperture.settings.stages import BilateralConfig, CorrelationConfig, LayersConfig
@@ -256,6 +258,13 @@ def write_board_session(folder: Path) -> None:
     for name, colour in (("sheet_c", (0, 1, 1)), ("sheet_y", (1, 1, 0))):  # this world's film is ideal
         sheet = np.broadcast_to(np.array(colour) * 45000 + 100, (108, 144, 3)).astype(np.uint16)
         cv2.imwrite(str(folder / "white" / f"{name}.png"), sheet[..., ::-1])
+
+
+def render_boards(folder: Path, camera: PupilCamera, rulers_mm, *, tilts: int = 0, cells: int = 8, film="real") -> None:
+    """A session of boards seen through a thin lens and halves, rendered ray by ray."""
+    plan = SessionPlan(distances_mm=rulers_mm, tilts=tilts)
+    write_session(folder, aperture=made_of(DESIGNS["cy_halves"], film), camera=camera, scenes={}, plan=plan,
+                  rays=lambda aperture: pinhole_rays(camera, aperture, cells=cells))  # fmt: skip
 
 
 # ---- RAW files
