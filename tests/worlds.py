@@ -24,10 +24,12 @@ from chromaperture.matching.estimate import estimate_disparity
 from chromaperture.matching.views import ViewSpace, view_spaces
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import CameraSensor, Film, Lens
-from chromaperture.optics.aperture import DESIGNS
+from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.pinhole import PupilCamera, centered_pinhole
+from chromaperture.optics.ray_table import pinhole_rays
 from chromaperture.optics.simulator.scene import Plane, plane
+from chromaperture.optics.simulator.session import SessionPlan, write_session
 from chromaperture.optics.simulator.textures import noise
 from chromaperture.settings.methods import PaperConfig
 from chromaperture.settings.stages import BilateralConfig, CorrelationConfig, LayersConfig
@@ -284,6 +286,13 @@ def session_of(session: Path, folder: Path, suffix: str, write: Callable[[Path, 
     table = folder / "distances.csv"
     table.write_text(table.read_text().replace(".png", suffix))
     return folder
+
+
+def render_boards(folder: Path, camera: PupilCamera, rulers_mm, *, tilts: int = 0, cells: int = 8, film="real") -> None:
+    """A session of boards seen through a thin lens and halves, rendered ray by ray."""
+    plan = SessionPlan(distances_mm=rulers_mm, tilts=tilts)
+    write_session(folder, aperture=made_of(DESIGNS["cy_halves"], film), camera=camera, scenes={}, plan=plan,
+                  rays=lambda aperture: pinhole_rays(camera, aperture, cells=cells))  # fmt: skip
 
 
 # ---- RAW files

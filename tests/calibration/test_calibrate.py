@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from chromaperture.calibration.calibrate_session import calibrate_session, leave_one_out
-from chromaperture.calibration.chessboard import board_distance, board_points, centered_pinhole, fit_intrinsics
+from chromaperture.calibration.calibrate_session import calibrate_session
+from chromaperture.calibration.chessboard import board_points, fit_intrinsics
 from chromaperture.calibration.curves import curve_without_blur, weaknesses
 from chromaperture.calibration.fit_fields import check_scale, fit_depth_model
 from chromaperture.calibration.options import CalibrationConfig
@@ -25,11 +25,9 @@ from chromaperture.matching.views import view_spaces
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera
-from chromaperture.optics.ray_table import pinhole_rays
-from chromaperture.optics.simulator.session import SessionPlan, write_session
 from chromaperture.settings.methods import preset
 from chromaperture.system.errors import InputError
-from worlds import INFINITY_PX, PUPIL_MM, RULERS_MM, SCALE_PX_MM, SESSION_TOML
+from worlds import INFINITY_PX, PUPIL_MM, RULERS_MM, SCALE_PX_MM, SESSION_TOML, render_boards
 
 SHARP = CalibrationConfig(lens_blur=False)
 calibrated = partial(calibrate_session, config=SHARP)  # these boards are shifted views, nothing blurred them
@@ -150,11 +148,7 @@ def test_a_lens_focused_at_infinity_is_calibrated(tmp_path):
     """Every board stands nearer than the focus, nothing can stand beyond it: no advice to photograph there."""
     camera = PupilCamera(192, 128, 450.0, 12.5, np.inf, 50.0, 0.1)
     rulers_mm = (1000, 1250, 1600, 2200, 3600)
-    write_session(
-        tmp_path / "session", aperture=made_of(DESIGNS["cy_halves"], "ideal"), camera=camera, scenes={},
-        rays=lambda aperture: pinhole_rays(camera, aperture, cells=8),
-        plan=SessionPlan(distances_mm=rulers_mm, tilts=0),
-    )  # fmt: skip
+    render_boards(tmp_path / "session", camera, rulers_mm, film="ideal")
     result = calibrated(tmp_path / "session")
     model = result.fits["real-time"].model
     # 0 is the truth; the nearest board has 450 px * 12.5 mm * 4 / (3 pi) / 950 mm = 2.5 px, of which shifted views of
@@ -196,21 +190,15 @@ def test_an_interrupted_run_goes_on_where_it_stopped(session, calibrated_session
         calibrated(session, progress=interrupt, keep_in=tmp_path / "kept")
     kept = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "kept").iterdir()}
     assert len(kept) == len(RULERS_MM) + 2  # corners of all boards, disparity of two
+    damaged = tmp_path / "kept" / next(iter(kept))
+    damaged.write_bytes(damaged.read_bytes()[:50])
     again = calibrated(session, keep_in=tmp_path / "kept")
+    assert damaged.stat().st_size > 50  # measured again
     after = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "kept").iterdir()}
     assert len(after) == 2 * len(RULERS_MM)
-    assert all(after[name] == stamp for name, stamp in kept.items())
+    assert all(after[name] == stamp for name, stamp in kept.items() if name != damaged.name)
     # The same numbers, read from disk.
     assert again.calibration.in_focus_mm == pytest.approx(calibrated_session.calibration.in_focus_mm, rel=1e-9)
-
-
-@pytest.mark.slow
-def test_what_was_kept_and_is_damaged_is_measured_again(session, tmp_path):
-    calibrated(session, keep_in=tmp_path)
-    for path in tmp_path.iterdir():
-        path.write_bytes(path.read_bytes()[:50])
-    # As for the whole session.
-    assert calibrated(session, keep_in=tmp_path).calibration.in_focus_mm == pytest.approx(IN_FOCUS_MM, abs=12)
 
 
 @pytest.mark.slow
@@ -284,13 +272,6 @@ def test_a_lens_of_another_resolution_is_refused(session):
         calibrated(session, lens_from=other)
 
 
-def test_a_camera_without_one_board_still_knows_the_others(calibrated_session):
-    result = calibrated_session
-    less = leave_one_out(result, 2)
-    assert less.in_focus_mm == pytest.approx(IN_FOCUS_MM, abs=20)  # four boards are left; 2 is found
-    assert less.in_focus_mm != result.calibration.in_focus_mm
-
-
 def test_a_folder_without_a_session_is_named(tmp_path):
     with pytest.raises(InputError, match=r"session\.toml"):
         calibrated(tmp_path)
@@ -329,23 +310,4 @@ def test_the_principal_point_moves_only_where_the_corners_ask(center, k2):
     # 1300 coordinates of 0.05 px fix a free centre to some tenths of a px; a fixed one does not move at all.
     assert found.camera_matrix[:2, 2] == pytest.approx(center, abs=1.0 if k2 else 1e-9)
     assert found.camera_matrix[0, 0] == pytest.approx(700, rel=0.002)
-
-
-def test_intrinsics_of_projected_boards_come_back():
-    """Corners projected by OpenCV's own camera model, so that only the fit is under test."""
-    rng = np.random.default_rng(1)
-    matrix = centered_pinhole(1650.0, (720, 480))
-    distortion = np.array([-0.1, 0, 0, 0, 0])
-    grid = board_points((9, 6), 30.0) - np.array([120, 75, 0], np.float32)
-    views = []
-    for _ in range(10):
-        turn = rng.uniform(-0.45, 0.45, 3)
-        place = np.array([rng.uniform(-120, 120), rng.uniform(-60, 60), rng.uniform(1100, 1800)])
-        pixels = cv2.projectPoints(grid, turn, place, matrix, distortion)[0][:, 0]
-        views.append((pixels + rng.normal(0, 0.05, pixels.shape)).astype(np.float32))
-    found = fit_intrinsics(views, (720, 480), (9, 6), 30.0)
-    assert found.camera_matrix[0, 0] == pytest.approx(1650, rel=0.004)  # 0.05 px over tilts of 25 degrees
-    assert found.rms_px < 0.08
-    flat = cv2.projectPoints(grid, np.zeros(3), np.array([0, 0, 2000.0]), matrix, distortion)[0][:, 0]
-    # As the focal length above.
-    assert board_distance(flat.astype(np.float32), found, (9, 6), 30.0) == pytest.approx(2000, rel=0.004)
+    assert found.rms_px < 0.08  # noise of 0.05 px in x and y: 0.071

@@ -38,7 +38,7 @@ def sessions(tmp_path, monkeypatch):
     return small, large
 
 
-def test_boards_are_matched_at_the_working_scale_and_the_camera_is_of_full_size(sessions):
+def test_boards_are_matched_at_the_working_scale_and_the_camera_is_of_full_size(sessions, tmp_path):
     small, large = (calibrate_session(folder, CalibrationConfig(lens_blur=False)) for folder in sessions)
     assert (large.session.sensor.width_px, large.session.photograph_size_px) == (144, (576, 432))
     camera = large.camera
@@ -52,10 +52,6 @@ def test_boards_are_matched_at_the_working_scale_and_the_camera_is_of_full_size(
         assert found.sensor_to_pupil_mm == pytest.approx(curve.sensor_to_pupil_mm, abs=0.01)
     assert camera.in_focus_mm == pytest.approx(small.camera.in_focus_mm, rel=1e-4)
     assert camera.sensor.pixel_pitch_mm == pytest.approx(0.00775)
-
-
-def test_the_camera_file_keeps_the_scale_of_its_boards(sessions, tmp_path):
-    camera = calibrate_session(sessions[1], CalibrationConfig(lens_blur=False)).camera
     camera.save(tmp_path / "camera.asdf")
     camera = type(camera).load(tmp_path / "camera.asdf")
     assert working_scale(camera) == SCALE

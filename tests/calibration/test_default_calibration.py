@@ -12,11 +12,9 @@ from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
 from chromaperture.evaluation.verdict import chosen_boards, depth_accuracy, with_accurate_noise
 from chromaperture.model.camera_file import Calibration
-from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera
-from chromaperture.optics.ray_table import pinhole_rays
-from chromaperture.optics.simulator.session import SessionPlan, write_session
 from chromaperture.system.robust import robust_sigma
+from worlds import render_boards
 
 # A thin 50 mm f/2 lens on a frame as small as corners of boards at 3.2 m are found in.
 CAMERA = PupilCamera(192, 128, 450.0, 12.5, 2000.0, 50.0, 0.06)
@@ -26,14 +24,7 @@ RULERS = (1000.0, 1250.0, 1600.0, 2200.0, 3200.0)
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rendered") / "cy_halves"
-    write_session(
-        folder,
-        aperture=made_of(DESIGNS["cy_halves"], "real"),
-        camera=CAMERA,
-        rays=lambda aperture: pinhole_rays(CAMERA, aperture, cells=8),
-        scenes={},
-        plan=SessionPlan(distances_mm=RULERS, tilts=4),
-    )
+    render_boards(folder, CAMERA, RULERS, tilts=4)
     return folder
 
 

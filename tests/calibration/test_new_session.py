@@ -13,11 +13,9 @@ from chromaperture.calibration.chessboard import find_corners
 from chromaperture.calibration.session import read_session
 from chromaperture.color.encoding import Encoding
 from chromaperture.color.srgb import linear_to_srgb
-from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera
-from chromaperture.optics.ray_table import pinhole_rays
-from chromaperture.optics.simulator.session import SessionPlan, write_session
 from chromaperture.system.errors import InputError
+from worlds import render_boards
 
 CAMERA = PupilCamera(192, 128, 450.0, 12.5, 2000.0, 50.0, 0.1)
 OPTIONS = ("--distances", 5, "--tilts", 4, "--farthest-mm", 3000, "--sensor-width-mm", 19.2)
@@ -27,14 +25,7 @@ OPTIONS = ("--distances", 5, "--tilts", 4, "--farthest-mm", 3000, "--sensor-widt
 def simulated(tmp_path_factory):
     """Photographs at the distances that five boards from 1 to 3 m get."""
     folder = tmp_path_factory.mktemp("simulated") / "session"
-    write_session(
-        folder,
-        aperture=made_of(DESIGNS["cy_halves"], "real"),
-        camera=CAMERA,
-        rays=lambda aperture: pinhole_rays(CAMERA, aperture, cells=4),
-        scenes={},
-        plan=SessionPlan(distances_mm=(1000, 1200, 1500, 2000, 3000), tilts=4),
-    )
+    render_boards(folder, CAMERA, (1000, 1200, 1500, 2000, 3000), tilts=4, cells=4)
     return folder
 
 

@@ -20,11 +20,9 @@ from chromaperture.capture.files import read_light
 from chromaperture.color.encoding import KNOTS, Encoding, ResponseCurve, develop_counts
 from chromaperture.color.srgb import linear_to_srgb, srgb_to_linear
 from chromaperture.model.camera_file import Calibration
-from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera
-from chromaperture.optics.ray_table import pinhole_rays
-from chromaperture.optics.simulator.session import SessionPlan, write_session
 from chromaperture.system.errors import CaptureWarning
+from worlds import render_boards
 
 CORNERS = (9, 6)
 SQUARE_PX, LEFT_TOP_PX = 21.3, (62.4, 51.7)
@@ -180,11 +178,7 @@ def linear(tmp_path_factory):
     """A session of rendered boards in linear counts."""
     folder = tmp_path_factory.mktemp("tones") / "linear"
     camera = PupilCamera(360, 240, 800.0, 12.5, 1800.0, 50.0, 0.06)
-    write_session(
-        folder, aperture=made_of(DESIGNS["cy_halves"], "real"), camera=camera, scenes={},
-        rays=lambda aperture: pinhole_rays(camera, aperture, cells=8),
-        plan=SessionPlan(distances_mm=(1000, 1250, 1500, 2200, 2800), tilts=0),
-    )  # fmt: skip
+    render_boards(folder, camera, (1000, 1250, 1500, 2200, 2800))
     return folder
 
 

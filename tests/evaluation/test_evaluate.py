@@ -165,7 +165,7 @@ TRIANGLE = np.array([(0.0, -1.0), (-0.866, 0.5), (0.866, 0.5)])
 
 
 @pytest.mark.parametrize("directions", [THREE, TRIANGLE], ids=["line", "triangle"])
-@pytest.mark.parametrize("disparity", [-2.6, 0.0, 1.35])
+@pytest.mark.parametrize("disparity", [-2.6, 1.35])
 @pytest.mark.parametrize(
     "method",
     [
@@ -231,15 +231,6 @@ def test_a_shift_is_that_of_the_spline(rng):
         np.testing.assert_allclose(
             prior_methods.sampled(prior_methods.spline(view), dx, dy), expected, atol=1e-5
         )  # float32
-
-
-def test_shifts_follow_the_sign_convention():
-    ramp = np.tile(np.arange(20.0, dtype=np.float32), (20, 1))
-    inner = np.s_[8:12, 8:12]
-    right = prior_methods.sampled(prior_methods.spline(ramp), 1.25, 0)[inner]
-    np.testing.assert_allclose(right, ramp[inner] + 1.25, atol=2e-3)  # the mirrored rim, felt 8 px away
-    up = prior_methods.sampled(prior_methods.spline(ramp.T), 0, -2)[inner]
-    np.testing.assert_allclose(up, ramp.T[inner] - 2, atol=1e-4)  # whole px: the sample itself, in float32
 
 
 # Judging

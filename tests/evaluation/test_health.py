@@ -132,12 +132,6 @@ def test_a_distance_that_is_too_far_to_be_measured_is_not_a_number(near, calibra
     assert "squares have another size" not in seen.advice
 
 
-def test_the_calibrations_board_is_looked_for(near, calibration):
-    checks = check_camera(near, replace(calibration, board=BOARD))
-    assert by_name(checks)["board distance"].verdict == "ok"
-    assert outcome(checks) == 0
-
-
 def test_a_photograph_with_a_gamma_curve_is_not_taken_for_a_moved_focus(near, calibration):
     seen = by_name(check_camera(near, calibration, board=BOARD))["linear light"]
     assert seen.verdict == "ok"

@@ -50,14 +50,6 @@ def test_a_point_moves_by_radius_times_pupil_centroid(name, depth):
     np.testing.assert_allclose(centroid(image), expected, atol=0.03)
 
 
-def test_beyond_focus_red_moves_right_through_the_yellow_half():
-    red, green, blue = centroid(render(pinhole_rays(CAMERA, CY), point(FAR)))
-    assert red[0] > 0.6 > 0.1 > abs(green[0])  # px; 0.88 and 0.006 are found: signs, not figures
-    assert blue[0] < -0.6  # as above
-    red, _, blue = centroid(render(pinhole_rays(CAMERA, CY), point(NEAR)))
-    assert red[0] < -0.6 < 0.6 < blue[0]  # as above; 1.0 is found
-
-
 def test_the_picture_stands_upright():
     """A light right of and above the axis lies right of and above the middle of the image."""
     spot = [plane(np.ones((2, 2, 3)), center_mm=(30.0, -20.0, 2000.0), width_mm=4.0)]

@@ -66,6 +66,30 @@ def plane(z_mm: float, sigma_mm: float) -> View:
     return View(grey, np.full(SIZE, z_mm, np.float32), np.full(SIZE, sigma_mm, np.float32))
 
 
+def reconstruction(**changes) -> tuple[Reconstruction, list[str]]:
+    """A model that is tracked at full size, and what it says."""
+    said: list[str] = []
+    config = ReconstructionConfig(**{"tracking_scale": 1, "voxel_mm": 15.0} | changes)
+    return Reconstruction(MATRIX, config, listener=said.append), said
+
+
+def tracked(first: View, then: View, guess: np.ndarray | None = None):
+    """The pose of a view by a keyframe at the first place, from a guess, else from that place."""
+    config = ReconstructionConfig(tracking_scale=1)
+    keyframe = prepare(first, MATRIX, config).keyframe(pose_at(0))
+    return track(prepare(then, MATRIX, config), keyframe, pose_at(0) if guess is None else guess, config=config)
+
+
+def off_mm(pose: np.ndarray, expected: np.ndarray) -> float:
+    """Distance between two places of a camera."""
+    return float(np.linalg.norm((pose - expected)[:3, 3]))
+
+
+def from_first(k: float) -> np.ndarray:
+    """Pose of a camera in the world of a model, which is the first camera's."""
+    return np.linalg.inv(pose_at(0)) @ pose_at(k)
+
+
 def small_volume(**changes) -> Volume:
     settings = {"voxel_mm": 10.0, "truncation_voxels": 8.0, "memory_mb": 128, "max_distance_mm": 6000.0}
     return Volume(**settings | changes)
@@ -178,13 +202,12 @@ def test_a_camera_that_errs_for_hours_does_not_fill_the_volume(monkeypatch):
 
 @pytest.mark.extra("reconstruct", "open3d")
 def test_the_camera_is_found_on_its_way_through_a_room():
-    model = Reconstruction(MATRIX, ReconstructionConfig(tracking_scale=1, voxel_mm=15.0))
-    poses = [pose_at(k) for k in range(5)]
-    placed = [model.add(photograph(pose, noise=0.003, seed=k, index=k)) for k, pose in enumerate(poses)]
-    found = [np.linalg.norm((p.pose - np.linalg.inv(poses[0]) @ q)[:3, 3]) for p, q in zip(placed, poses, strict=True)]
-    assert max(found) < 1.5  # a tenth of a pixel, which is 13 mm wide at 2 m
+    model, _ = reconstruction()
+    placed = [model.add(photograph(pose_at(k), noise=0.003, seed=k, index=k)) for k in range(5)]
+    # A tenth of a pixel, which is 13 mm wide at 2 m.
+    assert max(off_mm(p.pose, from_first(k)) for k, p in enumerate(placed)) < 1.5
     vertices = model.meshes()[0].vertices_mm
-    world = vertices @ poses[0][:3, :3].T + poses[0][:3, 3]
+    world = vertices @ pose_at(0)[:3, :3].T + pose_at(0)[:3, 3]
     off = np.min([np.abs(world @ n - c) for n, c in WALLS], axis=0)
     assert np.median(off) < 10.0  # of voxels of 15 mm
 
@@ -199,11 +222,10 @@ def test_every_second_frame_is_fused_and_every_one_is_tracked(monkeypatch):
         return integrate(self, view, *at)
 
     monkeypatch.setattr(Volume, "integrate", noted)
-    model = Reconstruction(MATRIX, ReconstructionConfig(tracking_scale=1, voxel_mm=15.0, fuse_every=2))
+    model, _ = reconstruction(fuse_every=2)
     for index in range(7):  # close together: only the first is a keyframe
         placed = model.add(photograph(pose_at(index / 4), index=index))
-        gap = np.linalg.inv(pose_at(0)) @ pose_at(index / 4) - placed.pose
-        assert np.linalg.norm(gap[:3, 3]) < 1.5  # a tenth of a pixel, which is 13 mm wide at 2 m
+        assert off_mm(placed.pose, from_first(index / 4)) < 1.5  # a tenth of a pixel, which is 13 mm wide at 2 m
     assert fused == [0, 1, 3, 5]
     assert len(model.current.keyframes) == 1
 
@@ -251,8 +273,7 @@ def test_distances_are_enlarged_along_planes_and_not_across_steps():
 
 @pytest.mark.extra("reconstruct", "open3d")
 def test_a_lost_camera_is_said_and_found_again():
-    said: list[str] = []
-    model = Reconstruction(MATRIX, ReconstructionConfig(tracking_scale=1, voxel_mm=15.0), listener=said.append)
+    model, said = reconstruction()
     views = [photograph(pose_at(k), index=k) for k in (0, 1, 2)]
     blind = View(views[0].color, np.full(SIZE, np.nan, np.float32), np.full(SIZE, np.nan, np.float32), 0.1, 3)
     placed = [model.add(view) for view in (*views, blind, blind, photograph(pose_at(0.5), index=5))]
@@ -260,33 +281,27 @@ def test_a_lost_camera_is_said_and_found_again():
     assert "lost" in said[0]
     assert "found again" in said[1]
     assert len(said) == 2
-    expected = np.linalg.inv(pose_at(0)) @ pose_at(0.5)
-    assert np.linalg.norm((placed[-1].pose - expected)[:3, 3]) < 1.5  # a tenth of a pixel, as above
+    assert off_mm(placed[-1].pose, from_first(0.5)) < 1.5  # a tenth of a pixel, as above
 
 
 @pytest.mark.extra("reconstruct", "open3d")
 def test_frames_may_be_dropped_and_the_camera_may_leap_to_where_it_was():
-    said: list[str] = []
-    config = ReconstructionConfig(tracking_scale=1, voxel_mm=15.0)
-    model = Reconstruction(MATRIX, config, listener=said.append)
+    model, said = reconstruction()
     for k in (0, 1, 2, 6, 8, 13, 16, 17, 2, 0.5, 14):
         placed = model.add(photograph(pose_at(k), index=int(k)))
         assert placed.pose is not None, (k, said)
-        gap = np.linalg.inv(pose_at(0)) @ pose_at(k) - placed.pose
-        assert np.linalg.norm(gap[:3, 3]) < 6.0, k  # tenths of a pixel, over the keyframes between
+        assert off_mm(placed.pose, from_first(k)) < 6.0, k  # tenths of a pixel, over the keyframes between
     assert said == []
 
 
 def test_a_guess_that_is_turned_away_leads_to_the_pose():
-    config = ReconstructionConfig(tracking_scale=1)
-    keyframe = prepare(photograph(pose_at(0)), MATRIX, config).keyframe(pose_at(0))
-    seen = prepare(photograph(pose_at(1.0)), MATRIX, config)
+    first, then = photograph(pose_at(0)), photograph(pose_at(1.0))
     for across, down in ((-6.0, 0.0), (4.0, 4.0), (0.0, -5.0), (8.0, 0.0)):  # degrees
         guess = pose_at(0)
         guess[:3, :3] = Rotation.from_euler("yx", [across, down], degrees=True).as_matrix() @ guess[:3, :3]
-        found = track(seen, keyframe, guess, config=config)
+        found = tracked(first, then, guess)
         assert not found.lost, (across, down)
-        assert np.linalg.norm((found.pose - pose_at(1.0))[:3, 3]) < 1.5  # a tenth of a pixel
+        assert off_mm(found.pose, pose_at(1.0)) < 1.5  # a tenth of a pixel
 
 
 def behind_bars(pose: np.ndarray, *, seed: int) -> View:
@@ -303,17 +318,14 @@ def behind_bars(pose: np.ndarray, *, seed: int) -> View:
 
 
 def test_what_hides_a_place_and_has_no_distance_does_not_pull():
-    config = ReconstructionConfig(tracking_scale=1)
-    keyframe = prepare(behind_bars(pose_at(0), seed=0), MATRIX, config).keyframe(pose_at(0))
     for k in (1.0, 2.0):
-        found = track(prepare(behind_bars(pose_at(k), seed=1), MATRIX, config), keyframe, pose_at(0), config=config)
+        found = tracked(behind_bars(pose_at(0), seed=0), behind_bars(pose_at(k), seed=1))
         assert not found.lost
         # A sixth of a pixel; weights that never fall to nothing leave three times as much.
-        assert np.linalg.norm((found.pose - pose_at(k))[:3, 3]) < 2.0
+        assert off_mm(found.pose, pose_at(k)) < 2.0
 
 
 def test_points_of_uncertain_place_in_the_picture_count_less():
-    config = ReconstructionConfig(tracking_scale=1)
     first, then = photograph(pose_at(0)), photograph(pose_at(6.0))
     wrong = np.zeros(SIZE, bool)
     wrong[:, : SIZE[1] // 2] = True  # half of the keyframe is measured a fifteenth too near, and says so or not
@@ -322,28 +334,22 @@ def test_points_of_uncertain_place_in_the_picture_count_less():
     for said in (0.14, 0.002):
         sigma_mm = np.where(wrong, np.float32(said), np.float32(0.002)) * z_mm
         spoilt = View(first.color, z_mm, sigma_mm.astype(np.float32))
-        keyframe = prepare(spoilt, MATRIX, config).keyframe(pose_at(0))
-        found = track(prepare(then, MATRIX, config), keyframe, pose_at(5.5), config=config)
-        errors.append(float(np.linalg.norm((found.pose - pose_at(6.0))[:3, 3])))
+        errors.append(off_mm(tracked(spoilt, then, pose_at(5.5)).pose, pose_at(6.0)))
     assert errors[0] < 0.7 * errors[1]
 
 
 def test_a_camera_is_found_where_light_has_changed_and_nothing_is_fused():
-    config = ReconstructionConfig(tracking_scale=1)
     first, then = photograph(pose_at(0)), photograph(pose_at(2.0))
     dimmed = View(np.rint(0.7 * then.color + 20).astype(np.uint8), then.z_mm, then.sigma_mm)
-    keyframe = prepare(first, MATRIX, config).keyframe(pose_at(0))
-    found = track(prepare(dimmed, MATRIX, config), keyframe, pose_at(0), config=config)
+    found = tracked(first, dimmed)
     assert not found.lost
-    assert np.linalg.norm((found.pose - pose_at(2.0))[:3, 3]) < 1.5  # 0.16 is found; a tenth of a pixel is 1.3 mm
+    assert off_mm(found.pose, pose_at(2.0)) < 1.5  # 0.16 is found; a tenth of a pixel is 1.3 mm
     assert found.correlation > 0.99  # 0.9996 is found
 
 
 @pytest.mark.extra("reconstruct", "open3d")
 def test_a_place_seen_again_joins_the_submaps():
-    said: list[str] = []
-    config = ReconstructionConfig(tracking_scale=1, voxel_mm=15.0, submap_after=1)
-    model = Reconstruction(MATRIX, config, listener=said.append)
+    model, said = reconstruction(submap_after=1)
     steps = [0, 1, 16, *range(15, 0, -1)]  # a leap out of sight, and the way back
     placed = [model.add(photograph(pose_at(k), index=3 * n)) for n, k in enumerate(steps)]
     assert [p.submap for p in placed[-3:]] == [1, 1, 1]
@@ -351,17 +357,14 @@ def test_a_place_seen_again_joins_the_submaps():
     assert len(model.meshes()) == 1
     for place, k in zip(placed, steps, strict=True):
         if place.pose is not None:
-            world = pose_at(0) @ model.in_root(place).pose
-            assert np.linalg.norm((world - pose_at(k))[:3, 3]) < 6.0  # tenths of a pixel, over the keyframes between
+            assert off_mm(model.in_root(place).pose, from_first(k)) < 6.0  # tenths of a pixel, over the keyframes
     world = model.meshes()[0].vertices_mm @ pose_at(0)[:3, :3].T + pose_at(0)[:3, 3]
     assert np.median(np.min([np.abs(world @ n - c) for n, c in WALLS], axis=0)) < 2.0  # mm, as single poses above
 
 
 @pytest.mark.extra("reconstruct", "open3d")
 def test_another_place_begins_a_submap():
-    said: list[str] = []
-    config = ReconstructionConfig(tracking_scale=1, voxel_mm=15.0, submap_after=2)
-    model = Reconstruction(MATRIX, config, listener=said.append)
+    model, _ = reconstruction(submap_after=2)
     model.add(photograph(pose_at(0)))
     far = pose_at(0)
     far[:3, :3] = [[-1, 0, 0], [0, 1, 0], [0, 0, -1]]  # looks the other way
@@ -375,8 +378,7 @@ def test_another_place_begins_a_submap():
 
 @pytest.mark.extra("reconstruct", "open3d")
 def test_a_wall_without_texture_never_raises():
-    said: list[str] = []
-    model = Reconstruction(MATRIX, ReconstructionConfig(tracking_scale=1), listener=said.append)
+    model, said = reconstruction()
     for _ in range(3):
         placed = model.add(plane(1500.0, 10.0))
     assert placed.pose is None
@@ -385,9 +387,7 @@ def test_a_wall_without_texture_never_raises():
 
 @pytest.mark.extra("reconstruct", "open3d")
 def test_a_full_volume_is_said_once_and_stays_within_its_memory():
-    said: list[str] = []
-    config = ReconstructionConfig(tracking_scale=1, voxel_mm=8.0, memory_mb=16)
-    model = Reconstruction(MATRIX, config, listener=said.append)
+    model, said = reconstruction(voxel_mm=8.0, memory_mb=16)
     for k in range(3):
         model.add(photograph(pose_at(k), index=k))
     volume = model.current.volume
@@ -554,6 +554,5 @@ def test_tracked_poses_go_into_an_exported_sequence(tmp_path):
     flip = np.diag([1.0, -1, -1, 1])
     for k, frame in enumerate(frames):
         found = np.array(frame["transform_matrix"]) @ flip
-        expected = np.linalg.inv(pose_at(0)) @ pose_at(k)  # the world is the first camera's
-        assert np.linalg.norm(1000 * found[:3, 3] - expected[:3, 3]) < 5  # mm, of 90; depth has 0.5 % of noise
+        assert np.linalg.norm(1000 * found[:3, 3] - from_first(k)[:3, 3]) < 5  # mm, of 90; depth has 0.5 % of noise
     assert len(list((tmp_path / "out" / "depth_mm").iterdir())) == 5

@@ -154,12 +154,6 @@ def test_misspelt_keys_are_named_with_the_nearest_valid_one(folder, text, words)
         assert word in str(caught.value)
 
 
-@pytest.mark.parametrize(("name", "path"), EVERY_VALUE, ids=str)
-def test_every_misspelt_key_is_answered_with_its_own_name(folder, name, path):
-    with pytest.raises(InputError, match=f"did you mean '{path[-1]}'"):
-        read(CONFIGS[name], f"[{'.'.join(path[:-1])}]\n{path[-1]}x = 1\n", folder)
-
-
 @pytest.mark.parametrize(
     ("name", "text"),
     [
@@ -190,12 +184,6 @@ def test_every_misspelt_key_is_answered_with_its_own_name(folder, name, path):
 def test_values_of_another_type_are_refused_by_name(folder, name, text):
     with pytest.raises(InputError, match=r"settings\.toml"):
         read(CONFIGS[name], text, folder)
-
-
-def test_whole_numbers_are_taken_for_floats(folder):
-    found = read(CONFIGS["real-time"], "[depth]\nmax_depth_mm = 8000", folder)
-    assert found.depth.max_depth_mm == 8000.0
-    assert isinstance(found.depth.max_depth_mm, float)
 
 
 def test_another_number_of_bands_can_be_set(folder):
@@ -266,6 +254,7 @@ def test_another_encoding_is_named_with_its_line(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
+        ("[matcher.plate]\nrounds = 1000000", "rounds must lie between"),
         ("a" + 40_000 * ".a" + " = 1", "larger than 65536 bytes"),
         ("a" + 3_000 * ".a" + " = 1", "more than 2000 dots"),
         ("[depth]\nmax_depth_mm = 1e300", "must lie between"),
@@ -277,9 +266,4 @@ def test_another_encoding_is_named_with_its_line(tmp_path):
 )
 def test_what_would_take_minutes_or_all_memory_is_refused(folder, text, words):
     with pytest.raises(InputError, match=words):
-        read(CONFIGS["real-time"], text, folder)
-
-
-def test_iterations_without_end_are_refused(folder):
-    with pytest.raises(InputError, match="rounds must lie between"):
-        read(CONFIGS["accurate"], "[matcher.plate]\nrounds = 1000000", folder)
+        read(CONFIGS["accurate" if "plate" in text else "real-time"], text, folder)

@@ -119,11 +119,11 @@ def displacement(
 
 
 def displacements(
-    model: BlurModel, points: np.ndarray, position: np.ndarray, inverse_mm: float, channels: tuple[int, ...]
+    model: BlurModel, points: np.ndarray, position: np.ndarray, inverse_mm: float, channels: Sequence[int]
 ) -> np.ndarray:
     """Compute the `displacement` of several channels, what they have in common once; (C, N, 2) float64, px."""
     m = model
-    x2 = np.einsum("ij,ij->i", points, points)
+    x2 = points[:, 0] ** 2 + points[:, 1] ** 2
     along = points @ position
     f2 = float(position @ position)
     coma = m.coma_px + m.coma4_px * f2

@@ -34,15 +34,15 @@ def cross_filter(
         # As pairs of floats: loops over these become vectors. OpenCV's own scaling takes a fifth of the time of its
         # transform (160 samples).
         spectra, of_channels = tile.spectra.view(np.float32), transfers.view(np.float32)
-        _cross_filter(spectra, of_channels, channels, np.float32(damping), np.float32(1 / size**2), both)
+        spectra_of_both(spectra, of_channels, channels, np.float32(damping), np.float32(1 / size**2), both)
         for spectrum, part in zip(both, canvas, strict=True):
             cv2.dft(spectrum, dst=views, flags=cv2.DFT_INVERSE)
             cv2.accumulateProduct(views[tile.inner, tile.inner], tile.weight, part[tile.place])
 
 
 @compiled(fastmath=FAST, error_model="numpy")
-def _cross_filter(spectra, transfers, channels, damping, scale, both):  # type: ignore[no-untyped-def]
-    """Spectra of P + i Q of all pairs, times ``scale``."""
+def spectra_of_both(spectra, transfers, channels, damping, scale, both):  # type: ignore[no-untyped-def]
+    """Compute the spectra of P + i Q of all pairs, times ``scale``; complex numbers as pairs of floats."""
     for pair in range(len(channels)):
         of_a, of_b = transfers[channels[pair, 0]], transfers[channels[pair, 1]]
         _both(spectra[pair, 0], spectra[pair, 1], of_a, of_b, damping, scale, both[pair].reshape(len(of_a), -1))

@@ -159,7 +159,8 @@ class Nodes:
         powers = None if noise_variance is None else self.noise_powers(noise_variance, noise_margin=noise_margin)
 
         def of_tile(i: int) -> TileSpectrum:
-            spectrum = low_frequencies(scipy.fft.rfft2(detail[i]), self.size) / scale
+            columns = scipy.fft.rfft(detail[i])[..., : (self.size + 1) // 2]  # those that are kept
+            spectrum = low_frequencies(scipy.fft.fft(columns, axis=1), self.size) / scale
             if powers is None:
                 return TileSpectrum(spectrum, np.ones((3, 1, 1), np.float32))
             return TileSpectrum(spectrum, signal_fraction(spectrum, powers[i], sampling_px=SAMPLING_PX))
