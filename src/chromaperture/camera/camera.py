@@ -164,22 +164,6 @@ class CodedApertureCamera:
             return self._resized_to(image).submit(image)
         return self._submitted(self._checked(image))
 
-    @property
-    def measures_ahead(self) -> bool:
-        """Return `can_pipeline`, by its name until version 0.3."""
-        _renamed("measures_ahead", "can_pipeline")
-        return self.can_pipeline
-
-    def begin(self, image: np.ndarray) -> PendingFrame:
-        """Call `submit`, by its name until version 0.3."""
-        _renamed("begin", "submit")
-        return self.submit(image)
-
-    def complete(self, begun: PendingFrame, *, meanwhile: Callable[[], None] = lambda: None) -> DepthFrame:
-        """Call `PendingFrame.result`, by its name until version 0.3."""
-        _renamed("complete", "the method result of what submit returns")
-        return begun.result(on_device_free=meanwhile)
-
     def _is_of_another_size(self, image: np.ndarray) -> bool:
         """Return whether the image shows the whole frame in other pixels."""
         size_px = image.shape[1::-1]
@@ -394,11 +378,6 @@ def load_camera(
     calibration = Calibration.load(path)
     config = default_config(calibration, quality, scale=scale)
     return CodedApertureCamera(calibration, config, execution=execution, device=device)
-
-
-def _renamed(old: str, new: str) -> None:
-    """Warn of a name that goes with the next version."""
-    warnings.warn(f"CodedApertureCamera.{old} is now {new}", DeprecationWarning, stacklevel=3)
 
 
 _MAPS = ("depth_mm", "sigma_mm", "disparity_px", "disparity_sigma_px", "confidence", "color", "image")

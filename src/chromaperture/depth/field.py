@@ -16,8 +16,7 @@ import cv2
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from chromaperture.depth.conversion import DepthModel, disparity_to_depth
-from chromaperture.depth.conversion_kernels import PAIRS, CurveTable, curve_table
+from chromaperture.depth.conversion import PAIRS, CurveTable, DepthModel, curve_table, disparity_to_depth
 from chromaperture.depth.nonlinearity import Nonlinearity
 from chromaperture.system.errors import InputError
 
