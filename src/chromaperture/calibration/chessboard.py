@@ -17,7 +17,7 @@ MIN_VIEWS = 4  # two determine the pinhole, more average its errors; chosen by h
 _PERFECT_PX = 0.01  # reprojection error below which models are equally good: corners are never better
 _CONTRAST_PERCENTILES = (0.5, 99.5)  # of the picture, set to black and white before the search; chosen by hand
 _START_FOCAL = 1.2  # focal length over the longer side of the frame: the start of the fit
-_THOROUGH = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY | cv2.CALIB_CB_NORMALIZE_IMAGE
+_THOROUGH = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_NORMALIZE_IMAGE
 _SQUARE_PX = (24, 60)  # second search: smallest squares it gets, by enlarging, and those it need not enlarge
 # A small board in the middle of the frame determines neither the principal point nor high orders of distortion: free
 # parameters diverge together (centre 47 px off at 0.11 px rms) and bias the focal length. A model with more parameters
@@ -56,10 +56,14 @@ def find_corners(plane: np.ndarray, inner_corners: tuple[int, int]) -> np.ndarra
         return None
     level = np.clip((np.asarray(plane, np.float32) - np.float32(low)) / np.float32(high - low), 0, 1)
     # A gamma curve and an exhaustive search find blurred boards; linear light and a short one find small squares.
-    corners = _detect(np.sqrt(level), inner_corners, 1, _THOROUGH)
-    if corners is None:
-        corners = _detect(level, inner_corners, 1, cv2.CALIB_CB_ACCURACY)
-    return None if corners is None else _refined(corners, level, inner_corners)
+    searches = ((np.sqrt(level), _THOROUGH), (level, 0))
+    for picture, flags in searches:
+        # CALIB_CB_ACCURACY takes three times as long, and is not needed where the corners are found again.
+        corners = _detect(picture, inner_corners, 1, flags)
+        if corners is not None:
+            again = _refined(corners, level, inner_corners)
+            return again if again is not None else _detect(picture, inner_corners, 1, flags | cv2.CALIB_CB_ACCURACY)
+    return None
 
 
 def _detect(level: np.ndarray, inner_corners: tuple[int, int], scale: int, flags: int) -> np.ndarray | None:
@@ -74,11 +78,11 @@ def _detect(level: np.ndarray, inner_corners: tuple[int, int], scale: int, flags
     return (corners.reshape(-1, 2) - np.float32(inset)) / np.float32(scale) if found else None
 
 
-def _refined(corners: np.ndarray, level: np.ndarray, inner_corners: tuple[int, int]) -> np.ndarray:
-    """Find the corners again in linear light and with the board enlarged; (N, 2) float32, px.
+def _refined(corners: np.ndarray, level: np.ndarray, inner_corners: tuple[int, int]) -> np.ndarray | None:
+    """Find the corners again in linear light and with the board enlarged; (N, 2) float32, px, or None.
 
     With squares 17 to 21 px wide the detector's corners lie up to 0.4 % of the board too far out, with larger ones less
-    than 0.1 %, and least in a picture twice as large. A blurred board that is not found again keeps the first corners.
+    than 0.1 %, and least in a picture twice as large. A blurred board may not be found again.
     """
     columns, rows = inner_corners
     square_px = float(np.median(np.linalg.norm(np.diff(corners.reshape(rows, columns, 2), axis=1), axis=2)))
@@ -88,10 +92,10 @@ def _refined(corners: np.ndarray, level: np.ndarray, inner_corners: tuple[int, i
     scale = 1 if square_px > _SQUARE_PX[1] else max(2, math.ceil(_SQUARE_PX[0] / square_px))
     again = _detect(level[top:bottom, left:right], inner_corners, scale, cv2.CALIB_CB_ACCURACY)
     if again is None:
-        return corners
+        return None
     again += np.array([left, top], np.float32)
     same = np.abs(again - corners).max() < square_px / 2  # a symmetric board may be numbered from another corner
-    return again if same else corners
+    return again if same else None
 
 
 def board_points(inner_corners: tuple[int, int], square_mm: float) -> np.ndarray:
