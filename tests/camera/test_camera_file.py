@@ -167,3 +167,10 @@ def test_saving_leaves_nothing_half_written(tmp_path):
     with pytest.raises(Exception, match="object"):
         broken.save(path)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_without_the_curve_that_is_summed_up_says_so(tmp_path):
+    camera = make_calibration()
+    dataclasses.replace(camera, depth={"paper": camera.depth["paper"]}).save(tmp_path / "camera.asdf")
+    with pytest.raises(InputError, match="no depth curve for quality real-time: it has paper"):
+        Calibration.load(tmp_path / "camera.asdf").summary()

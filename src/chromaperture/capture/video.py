@@ -24,6 +24,7 @@ _WHITELISTS = {
     "flv,ogg,h264,hevc,nut",
 }
 _MOST_MISSING_S = 0.25  # of a clip's stated length, beside the last frames: its sound may last longer
+_MOST_THREADS = 64  # more than decode a clip: FFmpeg begins 16 by itself
 _CENTRED_Y4M = (b" C420jpeg", b" C420 ", b" C420\n")  # mjpegtools' names of 4:2:0; the others lie left
 
 
@@ -61,6 +62,8 @@ class VideoSource(PictureSource):
     def close(self) -> None:
         """Close the clip."""
         if self._clip is not None:
+            for stream in self._clip.streams.video:
+                _finish(stream.codec_context)
             self._clip.close()
         self._clip = None
 
@@ -135,3 +138,20 @@ class VideoSource(PictureSource):
             return form.with_stated(self.stated)
         except InputError as error:
             raise InputError(f"{self.name}: {error}") from None
+
+
+def _finish(decoder: av.VideoCodecContext | None) -> None:
+    """Wait for the frames that a decoder's threads are at.
+
+    Their messages need the interpreter's lock, which PyAV 18.1 holds while it frees a decoder, and so waits for them.
+    """
+    if decoder is None or not decoder.is_open:
+        return
+    for _ in range(_MOST_THREADS):
+        try:
+            decoder.decode(None)
+            return
+        except EOFError:  # nothing is left
+            return
+        except av.FFmpegError:  # of one of the frames
+            continue

@@ -212,8 +212,11 @@ class Calibration(CameraPart):
         return float(np.min(near)), float(np.max(far))
 
     def summary(self) -> dict[str, Any]:
-        """Return the figures that ``chromaperture info`` prints, units in the names; None where uncalibrated."""
-        on_axis = self.depth["real-time"].on_axis(self.sensor.width_px, self.sensor.height_px) if self.depth else None
+        """Return the figures that ``chromaperture info`` prints, units in the names; None where uncalibrated.
+
+        Raises InputError where there are curves, but none of quality real-time.
+        """
+        on_axis = self.on_axis("real-time") if self.depth else None
         figures = {
             "design": self.design,
             "title": self.aperture.title,
