@@ -19,7 +19,6 @@ import pytest
 from PIL import Image, ImageCms
 
 import chromaperture as cap
-from chromaperture.capture import video
 from chromaperture.capture.files import format_of, image_size
 from chromaperture.capture.native_planes import Planes, rgb_of_planes
 from chromaperture.capture.open import open_source
@@ -436,16 +435,12 @@ def test_a_clip_opens_no_other_file_and_a_name_with_a_colon_is_a_name(tmp_path, 
         frames_of("list.mp4")
 
 
-def test_no_frame_is_under_way_when_a_clip_is_closed(tmp_path, monkeypatch):
-    """Threads that log while their decoder is freed would wait for it, and it for them."""
-    path, decoders, finish = tmp_path / "clip.mkv", [], video._finish
-    monkeypatch.setattr(video, "_finish", lambda decoder: decoders.append(decoder) or finish(decoder))
-    clip(path, "libx264", "yuv420p", planes_of(ORANGE, (2, 2), "left"), times=range(30))
-    with open_source(str(path)) as source:
+def test_no_frame_is_decoded_between_calls(tmp_path):
+    """A thread that reported damage while its decoder is freed would wait for it, and it for the thread."""
+    clip(tmp_path / "clip.mkv", "libx264", "yuv420p", planes_of(ORANGE, (2, 2), "left"))
+    with VideoSource(str(tmp_path / "clip.mkv"), listener=lambda event: None) as source:
         next(iter(source))
-    (decoder,) = decoders
-    with pytest.raises(EOFError):
-        decoder.decode(None)
+        assert source._clip.streams.video[0].codec_context.thread_type.name == "SLICE"
 
 
 def test_grey_and_odd_layouts_are_refused_in_one_line(tmp_path):

@@ -24,7 +24,6 @@ _WHITELISTS = {
     "flv,ogg,h264,hevc,nut",
 }
 _MOST_MISSING_S = 0.25  # of a clip's stated length, beside the last frames: its sound may last longer
-_MOST_THREADS = 64  # more than decode a clip: FFmpeg begins 16 by itself
 _CENTRED_Y4M = (b" C420jpeg", b" C420 ", b" C420\n")  # mjpegtools' names of 4:2:0; the others lie left
 
 
@@ -52,7 +51,9 @@ class VideoSource(PictureSource):
         try:
             # A name with a colon would be an address, and a list of files would open others.
             self._clip = av.open(os.path.abspath(self.name), options=dict(_WHITELISTS))
-            self._clip.streams.video[0].thread_type = "AUTO"
+            # Threads of whole frames work on between calls. PyAV 18.1 frees them under the interpreter's lock, for
+            # which they wait to report damage: a clip that is left in mid-way would never close.
+            self._clip.streams.video[0].thread_type = "SLICE"
         except (av.FFmpegError, ValueError, IndexError, OSError):
             self.close()
             raise InputError(
@@ -62,8 +63,6 @@ class VideoSource(PictureSource):
     def close(self) -> None:
         """Close the clip."""
         if self._clip is not None:
-            for stream in self._clip.streams.video:
-                _finish(stream.codec_context)
             self._clip.close()
         self._clip = None
 
@@ -138,20 +137,3 @@ class VideoSource(PictureSource):
             return form.with_stated(self.stated)
         except InputError as error:
             raise InputError(f"{self.name}: {error}") from None
-
-
-def _finish(decoder: av.VideoCodecContext | None) -> None:
-    """Wait for the frames that a decoder's threads are at.
-
-    Their messages need the interpreter's lock, which PyAV 18.1 holds while it frees a decoder, and so waits for them.
-    """
-    if decoder is None or not decoder.is_open:
-        return
-    for _ in range(_MOST_THREADS):
-        try:
-            decoder.decode(None)
-            return
-        except EOFError:  # nothing is left
-            return
-        except av.FFmpegError:  # of one of the frames
-            continue
