@@ -9,12 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import typer
+from hypothesis import settings
 
 from apps import calibrate_rendered, render_session
 from chromaperture.calibration.calibrate_session import CalibrationResult, calibrate_session
 from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.cli.main import app, main
 from worlds import write_board_session
+
+settings.register_profile("untimed", deadline=None)  # a busy machine is no failure
+settings.load_profile("untimed")
 
 
 def is_installed(module: str) -> bool:
