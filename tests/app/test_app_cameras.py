@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import threading
 import time
 
@@ -25,13 +24,9 @@ pytestmark = pytest.mark.extra("serve", "starlette")
 
 
 @pytest.fixture
-def folder(tmp_path, rendered):
-    """Three photographs of boards with known content, in the order of their names."""
-    place = tmp_path / "pictures"
-    place.mkdir()
-    for i, at in enumerate((2000, 1000, 3000)):
-        shutil.copyfile(rendered / "board" / f"{at}.png", place / f"{i}.png")
-    return f"{place}?black_level=16&white_level=1016"
+def folder(pictures):
+    """The source of `pictures`, in the order of their names."""
+    return f"{pictures}?black_level=16&white_level=1016"
 
 
 @pytest.fixture
@@ -88,11 +83,11 @@ def camera(monkeypatch):
 
 def test_a_folder_gives_one_picture_when_asked_and_no_other(folder, feeds):
     feed = feeds(folder)
-    assert (feed.live, feed.name) == (False, "pictures")
+    assert (feed.live, feed.name) == (False, "bench camera")
     first = feed.next_frame()
     np.testing.assert_array_equal(feed.shown_frame().counts, first.counts)  # asked for again, it stays the same
     assert [feed.next_frame().index, feed.next_frame().index] == [1, 2]
-    with pytest.raises(InputError, match="pictures has no more pictures"):
+    with pytest.raises(InputError, match="bench camera has no more pictures"):
         feed.next_frame()
     assert feed.next_frame().index == 0  # anew
 

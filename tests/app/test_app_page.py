@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from apps import BROWSER_TESTS, DESKTOP, FACTS, PHONE, chromium, chromium_with, open_photo, pages, reading, says, served
+from apps import BROWSER_TESTS, DESKTOP, FACTS, PHONE, chromium, open_photo, reading, says, served
 from chromaperture.app.messages import collect_warnings
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.encoding import Encoding
@@ -46,18 +46,6 @@ FAULTS = """() => [...document.querySelectorAll("button, select, input, a.button
 def app(tmp_path_factory):
     with served(tmp_path_factory.mktemp("app"), camera=sample_camera(NAME)) as running:
         yield running
-
-
-@pytest.fixture(scope="module")
-def browser(driver, tmp_path_factory):
-    with chromium_with(driver, tmp_path_factory.mktemp("camera"), open_sample(NAME)[1]) as started:
-        yield started
-
-
-@pytest.fixture
-def page_at(browser, app):
-    with pages(browser, app.url) as opened:
-        yield opened
 
 
 # ---- live

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 
 import cv2
 import numpy as np
@@ -24,16 +23,6 @@ ENCODED = {key: value for key, value in FACTS.items() if "level" not in key}
 def browser(driver):
     with chromium(driver) as started:
         yield started
-
-
-@pytest.fixture
-def pictures(tmp_path, rendered):
-    """Boards at 2000, 1000 and 3000 mm, as a folder of 10-bit counts."""
-    place = tmp_path / "bench camera"
-    place.mkdir()
-    for i, at in enumerate((2000, 1000, 3000)):
-        shutil.copyfile(rendered / "board" / f"{at}.png", place / f"{i}.png")
-    return place
 
 
 def test_the_assistant_photographs_with_a_camera_of_the_computer(browser, tmp_path, pictures):

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from apps import BROWSER_TESTS, FACTS, PHONE, chromium_with, pages, planes_of, served
+from apps import BROWSER_TESTS, FACTS, PHONE, pages, planes_of, served
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.scale import resized
-from chromaperture.products.samples import open_sample, sample_camera
+from chromaperture.products.samples import sample_camera
 from test_app_page import begin, says
 
 pytestmark = BROWSER_TESTS
@@ -74,18 +74,6 @@ def app(tmp_path_factory):
         replace(calibration, **held).save(running.folder / "cameras" / "held.asdf")
         resized(calibration, 1080, 720).save(running.folder / "cameras" / "large.asdf")
         yield running
-
-
-@pytest.fixture(scope="module")
-def browser(driver, tmp_path_factory):
-    with chromium_with(driver, tmp_path_factory.mktemp("camera"), open_sample(NAME)[1]) as started:
-        yield started
-
-
-@pytest.fixture
-def page_at(browser, app):
-    with pages(browser, app.url) as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")
