@@ -17,7 +17,7 @@ import numpy as np
 from numpy.random import Generator
 from rooms import NEAREST_MM, cover_of_card, few_surfaces, furnished_room, photographed, random_scene, texture
 
-from chromaperture.matching.planes.depth_edges import BLOCK_PX
+from chromaperture.matching.blocks import BLOCK_PX
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import focused_at
 from chromaperture.optics.prescription import load_lens

@@ -24,7 +24,7 @@ from scipy.optimize import minimize
 from chromaperture.camera.camera import CodedApertureCamera, load_camera
 from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.matching import accurate, learned_error_bar
-from chromaperture.matching.planes.depth_edges import BLOCK_PX
+from chromaperture.matching.blocks import BLOCK_PX
 
 SHARES = (0.64, 0.93)  # of the errors, within one and two bars
 LEAST_ERROR = 0.02  # labels; smaller ones are as good as none, and their logarithm would count

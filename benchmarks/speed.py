@@ -23,9 +23,10 @@ from chromaperture.color.alignment import align_channels, channel_directions
 from chromaperture.color.lens_shift import LensShift
 from chromaperture.effects.refocusing import Focus, bokeh_kernel, bokeh_mask, refocus
 from chromaperture.matching.accurate import AccurateMethod, explained_surface, path_surface
+from chromaperture.matching.blocks import block_means
 from chromaperture.matching.execution import execution_named
 from chromaperture.matching.labels import IDENTITY, Surface
-from chromaperture.matching.planes.block_surface import depth_edges_of
+from chromaperture.matching.planes.depth_edges import edge_log_odds
 from chromaperture.matching.real_time import RealTimeMethod
 from chromaperture.matching.views import filtered_views, halved, view_spaces
 from chromaperture.optics.aperture import Aperture, design_named
@@ -142,7 +143,7 @@ def accurate() -> dict:
     assert isinstance(method, AccurateMethod)
     layers_px, labels_px = method.config.layers.values_px, method.labels_px
     likelihood = method.evidence.at(image, layers_px, labels_px)
-    guide = filtered_views(image, method.space, config=method.config.views).guide
+    guide = block_means(filtered_views(image, method.space, config=method.config.views).guide)
     settings = {"config": method.config, "run": method.run}
     found = path_surface(likelihood, guide, labels_px, **settings)
     red, blue = (np.clip(255 * image[..., k], 0, 255).astype(np.uint8) for k in (0, 2))
@@ -155,7 +156,7 @@ def accurate() -> dict:
         "whole": lambda: camera.measure(image),
         "evidence": lambda: method.evidence.at(image, layers_px, labels_px),
         "paths": lambda: path_surface(likelihood, guide, labels_px, **settings),
-        "blocks": lambda: explained_surface(found, depth_edges_of(image), labels_px, **settings),
+        "blocks": lambda: explained_surface(found, edge_log_odds(image), labels_px, image.shape[:2], **settings),
     }
     times = fastest_ms(
         {"sgbm_eight_paths": lambda: peer.compute(red, blue), **ours}, threads=min(2, thread_count()), rounds=4

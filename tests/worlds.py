@@ -15,6 +15,7 @@ import numpy as np
 import scipy.fft
 import tifffile
 from hypothesis import strategies as st
+from scipy.ndimage import map_coordinates
 
 from chromaperture.calibration.curves import Evidence
 from chromaperture.calibration.place_boards import BoardDistances
@@ -148,6 +149,13 @@ def spectral_example(rng, windows=7, layers=4, frequencies=20):
     y = rng.standard_normal((windows, 3, frequencies)) + 1j * rng.standard_normal((windows, 3, frequencies))
     spectra = np.einsum("ij,mjf->mif", mix, y).astype(np.complex64)
     return spectra, powers, np.arange(windows) % 2, np.full((windows, 3), 0.1, np.float32)
+
+
+def at_block_middles(volume, shape, spacing_px):
+    """A volume of samples so far apart at the middles of a picture's blocks, linearly; the last sample holds beyond."""
+    places = [(4 * np.arange(n // 4) + 1.5) / spacing_px for n in shape]
+    grid = np.meshgrid(*places, np.arange(volume.shape[2]), indexing="ij")
+    return map_coordinates(np.asarray(volume, float), grid, order=1, mode="nearest")
 
 
 # ---- cameras of cyan and yellow halves

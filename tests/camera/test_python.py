@@ -289,8 +289,9 @@ def test_colours_are_made_when_they_are_asked_for(frame, tmp_path):
 
 def test_the_preview_of_reduced_colours_is_that_of_all(frame, tmp_path):
     maps = (frame.depth_mm, frame.sigma_mm, frame.disparity_px, frame.disparity_sigma_px, frame.confidence)
-    color = np.tile(frame.color, (3, 3, 1))
-    large = cap.DepthFrame(*[np.tile(values, (3, 3)) for values in maps], color)
+    rows = 21 * 66 + 1  # of bands of 66, which are multiples of the three rows of an average: the last has one row
+    color = np.tile(frame.color, (3, 3, 1))[:rows]
+    large = cap.DepthFrame(*[np.tile(values, (3, 3))[:rows] for values in maps], color)
     small = color_pictures(large).small
     assert small.shape[0] < len(color) / 2
     for name, given in (("a", None), ("b", small)):

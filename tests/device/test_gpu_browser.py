@@ -20,7 +20,7 @@ from chromaperture.effects.refocusing import Focus, refocus
 from chromaperture.matching.device.device import Chain, open_device
 from chromaperture.matching.device.gpu_method import GpuMethod
 from chromaperture.matching.device.refocus_stages import RefocusChain, inputs_of
-from chromaperture.matching.device.surface_stages import Grid, add_block_sums, add_path_surface
+from chromaperture.matching.device.surface_stages import Grid, add_path_surface
 from chromaperture.matching.estimate import method_for
 from chromaperture.matching.result import NO_EXTRAS, Conversion, Extras
 from chromaperture.settings.methods import RealTimeConfig
@@ -136,13 +136,12 @@ def colours_and_depth(rng: np.random.Generator, *, scale: int) -> Recorded:
 
 
 def stages_of_accurate(rng: np.random.Generator) -> Recorded:
-    """Paths, posterior and sums of blocks."""
+    """Paths and posterior."""
     likelihood, guide = slanted_volume(rng, 20, 26, 33)
     chain, grid = Chain(open_device("gpu")), Grid(*likelihood.shape)
     arrays = [chain.array(name, n) for name, n in (("likelihood", grid.size), ("guide", grid.pixels))]
     add_path_surface(chain, *arrays, grid, np.linspace(-4, 4, 33), config=SurfaceConfig())
-    add_block_sums(chain, arrays[0], grid, 4)
-    limits = dict.fromkeys(("label", "posterior", "blocks"), (1e-3, 1e-3, 0.99))  # layers that are as good may swap
+    limits = dict.fromkeys(("label", "posterior"), (1e-3, 1e-3, 0.99))  # layers that are as good may swap
     return Recorded(chain, {"likelihood": likelihood, "guide": guide}, limits)
 
 

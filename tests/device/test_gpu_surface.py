@@ -5,16 +5,16 @@ import numpy as np
 import pytest
 
 from chromaperture.matching.accurate import PathSurface, path_surface
+from chromaperture.matching.blocks import BLOCK_PX, block_means
 from chromaperture.matching.device.device import Chain
 from chromaperture.matching.device.surface_stages import (
     Grid,
-    add_block_sums,
+    add_block_means,
     add_gaussian,
     add_path_surface,
     gaussian_taps,
 )
 from chromaperture.matching.execution import execution_named
-from chromaperture.matching.planes.depth_edges import BLOCK_PX
 from chromaperture.matching.readable.paths import Posterior
 from chromaperture.settings.methods import AccurateConfig
 from devices import any_device
@@ -24,25 +24,20 @@ pytestmark = pytest.mark.extra("gpu", "wgpu")
 
 
 def path_surface_on_device(likelihood, guide, layers, config):
-    """Label, mean and variance of the posterior, and sums of blocks, as `accurate.path_surface` has them."""
+    """Label, and mean and variance of the posterior, as `accurate.path_surface` has them."""
     chain, grid = Chain(any_device()), Grid(*likelihood.shape)
     arrays = [chain.array(name, n) for name, n in (("likelihood", grid.size), ("guide", grid.pixels))]
     add_path_surface(chain, *arrays, grid, layers, config=config)
-    add_block_sums(chain, arrays[0], grid, BLOCK_PX)
-    got = chain.run({"likelihood": likelihood, "guide": guide}, ["label", "posterior", "blocks"])
+    got = chain.run({"likelihood": likelihood, "guide": guide}, ["label", "posterior"])
     shape, step = likelihood.shape[:2], layers[1] - layers[0]
     mean, variance = np.moveaxis(got["posterior"].reshape(*shape, 2), 2, 0)
     posterior = Posterior(layers[0] + step * mean, step**2 * variance)
-    blocks = got["blocks"].reshape(*(n // BLOCK_PX for n in shape), len(layers))
-    return PathSurface(layers[0] + step * got["label"].reshape(shape), posterior, blocks)
+    return PathSurface(layers[0] + step * got["label"].reshape(shape), posterior, likelihood)
 
 
-# The second is wider than a path's invocations hold at once, and leaves pixels beside the blocks at two borders; the
-# last have one row of blocks, or none.
-@pytest.mark.parametrize(
-    ("height", "width", "count"), [(36, 52, 65), (33, 70, 21), (40, 25, 3), (1, 9, 5), (3, 40, 7), (4, 7, 5)]
-)
-def test_the_surface_its_posterior_and_sums_of_blocks_agree(rng, height, width, count):
+# The second is wider than a path's invocations hold at once.
+@pytest.mark.parametrize(("height", "width", "count"), [(36, 52, 65), (33, 70, 21), (40, 25, 3), (1, 9, 5)])
+def test_the_surface_and_its_posterior_agree(rng, height, width, count):
     likelihood, guide = slanted_volume(rng, height, width, count)
     layers = np.linspace(-4, 4, count)
     config = AccurateConfig()
@@ -53,7 +48,18 @@ def test_the_surface_its_posterior_and_sums_of_blocks_agree(rng, height, width, 
     assert (np.abs(found.label_px - expected.label_px) < 1e-3 * step).mean() > 0.99
     for at in (found.label_px, expected.posterior.mean_px):
         np.testing.assert_allclose(found.posterior.sigma_px(at), expected.posterior.sigma_px(at), rtol=2e-3, atol=1e-4)
-    np.testing.assert_allclose(found.nats, expected.nats, rtol=1e-5)  # 16 numbers of some nats
+
+
+@pytest.mark.parametrize(("height", "width"), [(36, 52), (33, 70), (4, 9)])  # the second leaves pixels at two borders
+def test_means_of_blocks_agree(rng, height, width):
+    volume = rng.normal(size=(height, width, 5)).astype(np.float32)
+    usable = rng.random((height // BLOCK_PX, width // BLOCK_PX)).astype(np.float32)
+    chain, grid = Chain(any_device()), Grid(height, width, 5)
+    sizes = dict(volume=volume.size, usable=usable.size, likelihood=usable.size * 5)
+    add_block_means(chain, *(chain.array(*size) for size in sizes.items()), grid, BLOCK_PX)
+    found = chain.run({"volume": volume, "usable": usable}, ["likelihood"])["likelihood"]
+    expected = usable[..., None] * block_means(volume)
+    np.testing.assert_allclose(found.reshape(expected.shape), expected, atol=1e-6)  # sums of 16 numbers of order 1
 
 
 @pytest.mark.parametrize(("sigma", "planes", "parts"), [(1.5, 1, 2), (4.0, 3, 3)])

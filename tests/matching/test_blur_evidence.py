@@ -11,22 +11,17 @@ from hypothesis import strategies as st
 
 from chromaperture.matching.error_bar import sigma_of_range
 from chromaperture.matching.estimate import estimate_disparity
-from chromaperture.matching.evidence.blur import (
-    CONTRARY,
-    MAX_CORRELATION2_OF_BANDS,
-    SPACING_PX,
-    BlurEvidence,
-    explained_variance,
-)
+from chromaperture.matching.evidence.blur import SPACING_PX, BlurEvidence
 from chromaperture.matching.execution import execution_named
-from chromaperture.matching.labels import IDENTITY
+from chromaperture.matching.labels import IDENTITY, LabelMap
+from chromaperture.matching.readable.pair_evidence import CONTRARY, MAX_CORRELATION2_OF_BANDS, explained_variance
 from chromaperture.matching.readable.tiles import SAMPLING_PX, Nodes, signal_fraction
 from chromaperture.matching.result import ESTIMATED_NOISE, NoiseModel
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.settings.methods import AccurateConfig
 from chromaperture.settings.stages import CrossFilterConfig
 from chromaperture.system.errors import InputError
-from worlds import blurred, lens_blur, plane_behind
+from worlds import at_block_middles, blurred, lens_blur, plane_behind
 
 W, H = 160, 120
 LENS = BlurModel(6.0, 12000.0, axial_red_px=-0.2, axial_blue_px=0.3, spherical_px=-0.8, lateral_red_px=0.0)
@@ -83,6 +78,21 @@ def test_weak_texture_is_found_where_strong_texture_is(design):
     found, expected = (best_layer(likelihood(image, blur, layers), layers) for image in (weak, strong))
     # In px of blur: .004, .043, .000, .009; with a floor of 1e-12 under the product of both powers .03, .32, .01, .08.
     assert found == pytest.approx(expected, abs=0.06 * blur.reach)
+
+
+def test_blocks_have_the_evidence_at_their_middles(rng):
+    """Between samples, as much as is left unexplained; labels mean other layers from column 30 on."""
+    blur, config = blur_for("cy_halves", width=62, height=45), CrossFilterConfig(fallback_weight=0.0)
+    layers = np.linspace(-2.0, 2.0, 9) * blur.reach  # so sharp that all are computed
+    image = plane_behind(blur, 0.8 * blur.reach, rng)
+    moved = 2 * (np.arange(62) // 30) + np.zeros((45, 1), int)
+    labels = LabelMap((layers[1] - layers[0]) * moved, np.ones(moved.shape))
+    evidence = BlurEvidence(config, blur, labels, ESTIMATED_NOISE, execution_named("numba"))
+    factors = sum(config.band_weights)
+    unexplained = np.exp(-2 / factors * likelihood(image, blur, layers, config=config))
+    unexplained = np.take_along_axis(unexplained, moved[::SPACING_PX, ::SPACING_PX, None] + np.arange(5), axis=2)
+    expected = -factors / 2 * np.log(at_block_middles(unexplained, image.shape[:2], SPACING_PX))
+    np.testing.assert_allclose(evidence.at(image, layers, layers[:5]), expected, atol=1e-4)  # float32
 
 
 # ---- correlations of either sign
@@ -188,11 +198,11 @@ def test_a_blank_wall_is_unknown_or_as_wide_as_the_range(design, noise, rng):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("edge_px", "unknown_px"), [(-1.5, 0.2), (0.9, 0.03)])
+@pytest.mark.parametrize(("edge_px", "unknown_px"), [(-1.5, 0.08), (0.9, 0.03)])
 def test_noise_does_not_bias_towards_more_blur(edge_px, unknown_px):
     """Near focus an open design's parallax is small, and more blur hides more noise."""
     blur = blur_for("cy_open")
-    true, noise = edge_px * blur.reach, 0.03
+    true, noise = edge_px * blur.reach, 0.045
     layers = true + np.arange(-12, 13) * 0.3 * blur.reach
     config = AccurateConfig.for_blur(blur.reach).evidence
     found = {True: [], False: []}
@@ -204,7 +214,8 @@ def test_noise_does_not_bias_towards_more_blur(edge_px, unknown_px):
             volume = likelihood(image, blur, layers, noise_variance=variance, config=config)
             found[known].append((best_layer(volume, layers) - true) / blur.reach)
     with_noise, without = abs(np.mean(found[True])), abs(np.mean(found[False]))
-    # In px of blur; each picture's noise is worth 0.02. Unknown, noise biases by 0.33 and 0.05.
+    # In px of blur; each picture's noise is worth 0.03. Unknown, noise biases by 0.12 and 0.04, and by 0.002 and 0.035
+    # where it is known.
     assert with_noise < 0.05
     assert without > unknown_px
 
@@ -230,9 +241,9 @@ def test_the_signal_fraction_is_that_of_wieners_filter():
 @settings(max_examples=30, deadline=None)
 @given(st.integers(1, 300), st.integers(1, 300), st.floats(0, 40), st.integers(0, 2**32 - 1))
 def test_the_tiles_of_nodes_add_up_to_the_picture(height, width, margin, seed):
-    """Waves of less than a third of a cycle a px are read exactly between the pixels."""
+    """Waves of less than a quarter of a cycle a px are read exactly between the pixels."""
     rng = np.random.default_rng(seed)
-    fx, fy, phase = rng.uniform(-0.28, 0.28, 8), rng.uniform(0.02, 0.28, 8), rng.uniform(0, 2 * np.pi, 8)
+    fx, fy, phase = rng.uniform(-0.2, 0.2, 8), rng.uniform(0.02, 0.2, 8), rng.uniform(0, 2 * np.pi, 8)
 
     def waves(x, y):
         return np.cos(2 * np.pi * (fx * x[..., None] + fy * y[..., None]) + phase).sum(axis=-1).astype(np.float32)
@@ -251,7 +262,7 @@ def test_the_tiles_of_nodes_add_up_to_the_picture(height, width, margin, seed):
     shading = cv2.GaussianBlur(image[..., 0], (0, 0), 30.0)  # which tiles do without
     expected = waves(x, y) - cv2.remap(shading, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR)
     # Near the frame's border its mirror image is not a wave; the tiles' own borders let some of it in. Of 400 random
-    # frames, most of them narrow, the worst differs by .32 here, by .48 eight samples from the border.
+    # frames, most of them narrow, the worst differs by .28 here, by .35 six samples from the border.
     far = np.s_[12:-12, 12:-12]
     if min(found[far].shape, default=0) > 0:
         assert np.abs(found[far] - expected[far]).max() < 0.05 * 8

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.matching.planes.block_surface import NO_EDGE, depth_edges_of
-from chromaperture.matching.planes.depth_edges import BLOCK_PX, contrast, edge_log_odds
+from chromaperture.matching.blocks import BLOCK_PX
+from chromaperture.matching.planes.depth_edges import contrast, edge_log_odds
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.optics.pinhole import focused_at
 from chromaperture.optics.prescription import load_lens
@@ -17,7 +17,6 @@ from chromaperture.optics.simulator.render import render, render_depth
 from chromaperture.optics.simulator.scene import plane
 from chromaperture.optics.simulator.sensor import SensorModel, develop, expose
 from chromaperture.optics.simulator.textures import noise
-from chromaperture.products.samples import open_sample
 
 
 def pattern(seed: int, color: tuple[float, float, float]) -> np.ndarray:
@@ -74,12 +73,3 @@ def test_any_size_has_an_answer_for_every_whole_block(height: int, width: int, s
 def test_an_even_photograph_has_no_edges(light: float) -> None:
     assert (edge_log_odds(np.full((96, 128, 3), light)) < 0).all()
     assert np.abs(contrast(np.full((8, 8, 3), light))).max() < 1e-9  # rounding of the mean over the least range
-
-
-def test_pictures_too_small_for_the_network_show_no_edges() -> None:
-    _, image = open_sample("still_life_cy_halves", quality="accurate", device="cpu")
-    few = depth_edges_of(image[:7])
-    assert few.shape == (2, 1, image.shape[1] // BLOCK_PX)
-    assert (few == NO_EDGE).all()
-    two_rows = depth_edges_of(image[:8])
-    np.testing.assert_array_equal(two_rows, edge_log_odds(image[:8]))

@@ -29,19 +29,13 @@ def blocks(rng, label, *, nats=16.0, planes=None, odds=-5.0):
     return BlockSurface(label, evidence.astype(np.float32), log_odds, label, regions)
 
 
-def of_blocks(values):
-    """The pixels of blocks."""
-    return np.repeat(np.repeat(values, 4, axis=0), 4, axis=1).astype(np.float32)
-
-
 @pytest.fixture
 def world(rng):
     """A slope with a step, the paths' surface that scatters about it, and their error bar."""
     label = 15 + 0.1 * np.arange(SHAPE[1]) + np.zeros((SHAPE[0], 1))
     label[:, 14:] += 6
     surface = blocks(rng, label, planes=label + rng.normal(0, 0.5, SHAPE))
-    first = of_blocks(label + rng.normal(0, 0.4, SHAPE))
-    return surface, first, of_blocks(rng.uniform(0.2, 2.0, SHAPE))
+    return surface, label + rng.normal(0, 0.4, SHAPE), rng.uniform(0.2, 2.0, SHAPE)
 
 
 # ---- signs
@@ -62,12 +56,12 @@ def test_signs_are_finite(seed, kind):
     if kind == "random":
         label = rng.uniform(0, LABELS - 1, (height, width))
         nats = (10.0 ** rng.uniform(-3, 4) * rng.normal(size=(height, width, LABELS))).astype(np.float32)
-        first, sigma = rng.uniform(0, LABELS - 1, (2, 4 * height, 4 * width))
-        planes, odds = rng.uniform(0, LABELS - 1, (height, width)), rng.normal(0, 8, (2, height, width))
+        first, sigma, planes = rng.uniform(0, LABELS - 1, (3, height, width))
+        odds = rng.normal(0, 8, (2, height, width))
     else:
         label = planes = np.full((height, width), 7.0)
         nats = np.full((height, width, LABELS), 0.0 if kind == "nothing" else 3.0, np.float32)
-        first, sigma = np.full((4 * height, 4 * width), 7.0), np.zeros((4 * height, 4 * width))
+        first, sigma = label, np.zeros_like(label)
         odds = np.full((2, height, width), -6.0)
     surface = BlockSurface(label, nats, odds.astype(np.float32), label, Regions(np.zeros(label.shape, int), planes))
     found = signs(surface, first, sigma)
@@ -91,7 +85,7 @@ def test_ranges_are_those_of_plain_windows(world):
 def test_what_paths_and_planes_said_is_told_by_how_far_it_lies(rng):
     label = np.full(SHAPE, 15.0)
     surface = blocks(rng, label, planes=label + 3.0)
-    found = signs(surface, of_blocks(label - 2.0), of_blocks(np.full(SHAPE, 0.5)))
+    found = signs(surface, label - 2.0, np.full(SHAPE, 0.5))
     np.testing.assert_allclose(found["paths"], np.log(2.1), atol=1e-5)
     np.testing.assert_allclose(found["planes"], np.log(3.1), atol=1e-5)
     np.testing.assert_allclose(found["posterior"], np.log(0.6), atol=1e-5)
@@ -101,7 +95,7 @@ def test_what_paths_and_planes_said_is_told_by_how_far_it_lies(rng):
 def test_depth_edges_are_told_where_they_are(rng):
     surface = blocks(rng, np.full(SHAPE, 15.0), odds=-20.0)
     surface.log_odds[1, :, 5] = 20.0
-    edges = signs(surface, of_blocks(surface.label), of_blocks(np.ones(SHAPE)))["edges"]
+    edges = signs(surface, surface.label, np.ones(SHAPE))["edges"]
     # The mean in a Gaussian of two blocks: one column of it at the edge, nothing five sigmas away.
     np.testing.assert_allclose(edges[:, 5], 1 / (2 * np.sqrt(2 * np.pi)), rtol=0.01)
     assert edges[:, 16:].max() < 1e-3
@@ -112,7 +106,7 @@ def test_the_spread_is_that_of_a_shift_of_a_window_by_its_evidence(rng):
     label = np.full(SHAPE, 20.0)
     nats = np.broadcast_to(-0.02 * (np.arange(LABELS) - 21.0) ** 2, (*SHAPE, LABELS)).astype(np.float32)
     surface = blocks(rng, label)._replace(nats=nats)
-    found = signs(surface, of_blocks(label), of_blocks(np.ones(SHAPE)))
+    found = signs(surface, label, np.ones(SHAPE))
     samples = 2 * np.pi * (learned_error_bar.SPREAD_BLOCKS * 4) ** 2 / learned_error_bar.PIXELS_ALIKE
     at = np.clip(label[0, 0] + SHIFTS, 0, LABELS - 1)
     likely = np.exp(-0.02 / 16 * samples * (at - 21.0) ** 2) * np.gradient(SHIFTS)

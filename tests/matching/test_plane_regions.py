@@ -15,7 +15,6 @@ from chromaperture.matching.planes.regions import (
     borders_of,
     bounded,
     costs_of_regions,
-    of_blocks,
     planes_of_regions,
     regions_between_edges,
     shares_of_blocks,
@@ -133,8 +132,7 @@ def test_a_weak_area_behind_an_edge_gets_its_own_plane(seed: int) -> None:
     """A strong wall at the left, and at the right a floor whose blocks hardly say anything one by one."""
     rng = np.random.default_rng(seed)
     area = (np.arange(45) >= 20)[None].repeat(30, axis=0).astype(int)
-    floor = np.array([0.05, 0.2, 16.0])  # of pixels
-    a, b, c = of_blocks(floor[None])[0]
+    a, b, c = floor = np.array([0.2, 0.8, 16.4])
     y, x = np.mgrid[:30, :45]
     truth = np.where(area == 1, a * x + b * y + c, 40.0)
     nats = evidence_of(truth, rng, np.where(area == 1, 0.5, 8.0))
@@ -159,11 +157,12 @@ def test_regions_without_an_edge_between_share_one_plane() -> None:
 
 def test_labels_of_steep_planes_stay_in_range() -> None:
     rng = np.random.default_rng(4)
-    steep = np.array([[1.0, 0.0, -60.0]])
-    nats = evidence_of(of_blocks(steep)[0, 0] * np.arange(45.0) + of_blocks(steep)[0, 2] + np.zeros((30, 1)), rng, 20.0)
+    steep = 4 * np.arange(45.0) - 58.5
+    nats = evidence_of(steep + np.zeros((30, 1)), rng, 20.0)
     odds = np.full((2, 30, 45), -5, np.float32)
-    found = planes_of_regions(nats, steep, odds, config=PlanesConfig(slope_penalty=0.0), run=FAST)
-    np.testing.assert_allclose(found.label[0], np.clip(4 * np.arange(45) + 1.5 - 60, 0, 60))
+    plane = np.array([[4.0, 0.0, -58.5]])
+    found = planes_of_regions(nats, plane, odds, config=PlanesConfig(slope_penalty=0.0), run=FAST)
+    np.testing.assert_allclose(found.label[0], np.clip(steep, 0, 60))
 
 
 def levels_of(nats: np.ndarray, log_odds: np.ndarray, **settings_) -> list[float]:
@@ -191,15 +190,6 @@ def test_what_a_block_says_is_bounded(most: float, expected: float) -> None:
     nats[:, :4, 20], nats[:, 4:, 45] = 10.0, 1.0
     log_odds = np.full((2, 30, 20), -6.0, np.float32)
     assert levels_of(nats, log_odds, max_block_nats=most) == [expected] * 20
-
-
-def test_planes_of_pixels_are_those_of_the_middles_of_blocks() -> None:
-    planes = np.array([[0.3, -0.2, 5.0], [0.0, 0.1, 1.0]])
-    y, x = np.mgrid[:6, :7]
-    for (a, b, c), (p, q, r) in zip(planes, of_blocks(planes), strict=True):
-        rows, columns = np.mgrid[:24, :28]
-        of_pixels = (a * columns + b * rows + c).reshape(6, 4, 7, 4).mean(axis=(1, 3))
-        np.testing.assert_allclose(p * x + q * y + r, of_pixels, atol=1e-12)
 
 
 @settings(max_examples=40, deadline=None)

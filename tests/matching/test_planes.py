@@ -48,27 +48,28 @@ def test_costs_of_planes_are_those_of_a_loop(run) -> None:
 
 @pytest.mark.parametrize("run", [FAST, SLOW], ids=["numba", "numpy"])
 @pytest.mark.parametrize("seed", range(2))
-@pytest.mark.parametrize("tiles_px", [(96,), (48, 96)])
-def test_the_planes_of_two_surfaces_are_proposed(tiles_px: tuple[int, ...], seed: int, run) -> None:
+@pytest.mark.parametrize("sizes", [(96,), (48, 96), (12, 24)])
+def test_the_planes_of_two_surfaces_are_proposed(sizes: tuple[int, ...], seed: int, run) -> None:
     rng = np.random.default_rng(seed)
-    wall, floor = np.array([0.0, 0.0, 12.0]), np.array([0.01, -0.2, 35.0])
-    height, width = 96, 96
-    upper = np.arange(height)[:, None] < 40
-    label = np.where(upper, plane_label(wall, height, width), plane_label(floor, height, width))
+    side = sizes[-1]
+    wall, floor = np.array([0.0, 0.0, 12.0]), np.array([1 / side, -19.2 / side, 35.0])
+    upper = np.arange(side)[:, None] < 5 * side // 12
+    label = np.where(upper, plane_label(wall, side, side), plane_label(floor, side, side))
     noisy = (label + rng.normal(0, 0.5, label.shape)).astype(np.float32)
     outlier = rng.random(label.shape) < 0.2
     noisy[outlier] = rng.uniform(0, 40, outlier.sum())
-    found = plane_proposals(noisy, np.full(label.shape, 0.5), tiles_px, run=run)
-    # A tile has 1024 points, some 400 of them on a plane that scatter by half a label: their plane is known to .05 at
-    # its corners. Beyond the inliers outliers pull.
-    for plane, top, bottom in ((wall, 4, 36), (floor, 44, 92)):
-        corners = np.array([[x, y, 1] for x in (4, 92) for y in (top, bottom)])
+    found = plane_proposals(noisy, np.full(label.shape, 0.5), sizes, run=run)
+    # A tile has 1024 points, or 576, some 400 or 200 of them on a plane that scatter by half a label: their plane is
+    # known to .05 or .1 at its corners. Beyond the inliers outliers pull.
+    for plane, top, bottom in ((wall, 1, 9), (floor, 11, 23)):
+        corners = np.array([[x * side / 24, y * side / 24, 1] for x in (1, 23) for y in (top, bottom)])
         assert np.abs((found - plane) @ corners.T).max(axis=1).min() < 0.3
 
 
-def test_nothing_is_proposed_of_a_picture_of_few_pixels() -> None:
-    found = plane_proposals(np.full((5, 7), 3.0, np.float32), np.full((5, 7), 0.1), (48, 96), run=FAST)
-    assert found.shape == (0, 3)
+@pytest.mark.parametrize(("shape", "count"), [((3, 5), 0), ((4, 4), 1)])
+def test_nothing_is_proposed_of_fewer_than_sixteen_blocks(shape: tuple[int, int], count: int) -> None:
+    found = plane_proposals(np.full(shape, 3.0, np.float32), np.full(shape, 0.1), (12, 24), run=FAST)
+    np.testing.assert_allclose(found, np.full((count, 3), (0, 0, 3.0)), atol=1e-9)
 
 
 def test_of_planes_alike_over_their_square_that_of_the_largest_stays() -> None:
@@ -83,7 +84,7 @@ def test_of_planes_alike_over_their_square_that_of_the_largest_stays() -> None:
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.integers(1, 300), st.integers(1, 300), st.sampled_from([(48,), (48, 96), (96, 480)]))
+@given(st.integers(1, 300), st.integers(1, 300), st.sampled_from([(12, 24), (48, 96), (100, 480)]))
 def test_tiles_of_every_size_cover_a_picture(height: int, width: int, sizes: tuple[int, ...]) -> None:
     tiles = tiles_of((height, width), sizes)
     for size in sizes:
@@ -92,7 +93,8 @@ def test_tiles_of_every_size_cover_a_picture(height: int, width: int, sizes: tup
             y, x = tile.points
             assert y.max() < height
             assert x.max() < width
-            if tile.size_px == size:
+            assert len(y) <= 32**2  # as many as a random number tells apart: see `drawn`
+            if tile.size == size:
                 seen[tile.top : tile.top + size, tile.left : tile.left + size] += 1
         # What is left over of less than half a tile belongs to none; but a small picture has one.
         assert (seen[: max(1, height - size // 2), : max(1, width - size // 2)] == 1).all()

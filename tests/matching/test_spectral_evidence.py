@@ -6,14 +6,14 @@ import scipy.fft
 import scipy.optimize
 
 from chromaperture.matching.evidence.blur import BlurEvidence
-from chromaperture.matching.evidence.spectral import SpectralEvidence, _add_enlarged, _tempered, over_slopes
+from chromaperture.matching.evidence.spectral import SpectralEvidence, _tempered, over_slopes
 from chromaperture.matching.evidence.spectral_model import BAND, SpectralModel, Windows
 from chromaperture.matching.execution import execution_named
 from chromaperture.matching.labels import IDENTITY
 from chromaperture.matching.result import ESTIMATED_NOISE, NoiseModel
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.settings.stages import CrossFilterConfig, SpectralConfig
-from worlds import lens_blur, spectral_example
+from worlds import at_block_middles, lens_blur, spectral_example
 
 W, H = 160, 120
 FAST, SLOW = execution_named("numba"), execution_named("numpy")
@@ -129,11 +129,19 @@ def test_unknown_noise_leaves_the_pairs_alone(rng):
     np.testing.assert_array_equal(both, pairs.at(image, layers, layers))
 
 
-def test_evidence_between_windows_is_bilinear_and_limited():
-    plane = np.add.outer(2.0 * np.arange(4), 3.0 * np.arange(5))[..., None].astype(np.float32)
-    out = np.zeros((25, 33, 1), np.float32)
-    _add_enlarged(plane, 8, out)
-    np.testing.assert_allclose(out[..., 0], np.add.outer(np.arange(25) / 4, np.arange(33) * 3 / 8), atol=1e-5)
+def test_blocks_have_the_evidence_of_windows_at_their_middles(rng):
+    blur = lens_blur(LENS, 62, 45, "cy_open")
+    layers = np.linspace(-2.0, 2.0, 9) * blur.reach
+    image = rng.random((45, 62, 3)).astype(np.float32)
+    noise = NoiseModel(lambda picture: np.full_like(picture, 0.02**2), is_known=True)
+    pairs, config = BlurEvidence(CrossFilterConfig(), blur, IDENTITY, noise, FAST), SpectralConfig()
+    both = SpectralEvidence(config, pairs)
+    expected = at_block_middles(both.of_windows(image, layers, layers, None), image.shape[:2], config.stride_px)
+    found = both.at(image, layers, layers) - pairs.at(image, layers, layers)
+    np.testing.assert_allclose(found, expected, atol=1e-5)  # float32
+
+
+def test_what_windows_say_is_limited():
     config = SpectralConfig(gain=2.0, cap_nats=0.5)
     earned = _tempered(np.array([[[0.0, -1e-3, -50.0]]]), config)[0, 0]
     assert earned[0] == pytest.approx(0.5)

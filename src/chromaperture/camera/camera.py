@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple, cast
 import numpy as np
 
 from chromaperture.camera.alignment import ChannelAlignment
-from chromaperture.camera.memory import check_camera_memory, volumes_go_to_disk
+from chromaperture.camera.memory import check_camera_memory
 from chromaperture.camera.method import default_config, repaired, scaled_method
 from chromaperture.capture.checks import check_capture, check_form
 from chromaperture.capture.files import Photograph, read_light
@@ -27,7 +27,6 @@ from chromaperture.model.camera_file import Calibration
 from chromaperture.model.scale import SAME_SCALE, resized
 from chromaperture.settings.methods import Config, ExecutionName, Quality
 from chromaperture.system.errors import CaptureWarning, InputError
-from chromaperture.system.memory import volumes_on_disk
 
 _WHOLE_PX = 4_000_000  # pictures up to this size keep the curves of every pixel, 100 bytes each, from frame to frame
 StageTimer = Callable[[str], AbstractContextManager[None]]
@@ -41,7 +40,6 @@ class Checked(NamedTuple):
     known: np.ndarray
     image: np.ndarray
     size_px: tuple[int, int]  # (int, int): width and height of the photograph
-    on_disk: bool  # whether its volumes do not fit into memory
 
 
 class PendingFrame(NamedTuple):
@@ -182,9 +180,9 @@ class CodedApertureCamera:
         image = check_capture(image, *(frame_px if origin_px is None else size_px))
         if self.config.quality == "accurate":  # the others' windows outweigh a pixel
             image = repaired(image, self.calibration)
-        on_disk = volumes_go_to_disk(self.calibration, self.config, is_said=self.method.holds_volumes)
+        check_camera_memory("the photograph", self.calibration, self.config)
         known, whole = (image, image) if origin_px is None else in_whole_frame(image, origin_px, frame_px)
-        return Checked(known, whole, (size_px[0], size_px[1]), on_disk)
+        return Checked(known, whole, (size_px[0], size_px[1]))
 
     def _completed(self, checked: Checked, measured: Measured, stage: StageTimer) -> DepthFrame:
         """Return the measurement of a photograph whose disparity is known; what the method left is made here."""
@@ -316,8 +314,7 @@ class CodedApertureCamera:
         return PendingFrame(self, checked, self.method.start(checked.known, self._extras))
 
     def _matched(self, frame: PendingFrame) -> Measured:
-        with volumes_on_disk(frame.checked.on_disk):
-            return frame.pending.result()
+        return frame.pending.result()
 
     @property
     def _extras(self) -> Extras:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from chromaperture.system.errors import InputError
+from chromaperture.system.threads import each_band
 
 SATURATION = 0.995  # of the white level; a pixel at or above it is clipped. Leaves 5 of 1000 counts for noise
 _CLIPPED = 0.001  # fraction of saturated samples that is accepted, for hot pixels; chosen by hand, not tuned
@@ -47,18 +48,14 @@ _SIGMAS, _TIMES_RANGE, _TIMES_OTHERS = 8.0, 2.0, 3.0
 
 def without_defects(image: np.ndarray, variance: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
     """Replace pixels that stand out of their neighbourhood's noise by its median; (H, W, 3)."""
-    ring = np.ones((3, 3), np.uint8)
-    ring[1, 1] = 0
-    highest, lowest = cv2.dilate(image, ring), cv2.erode(image, ring)
-    stands_out, spread = np.maximum(image - highest, lowest - image), highest - lowest
-    y, x = np.nonzero(((stands_out > 0) & (stands_out > _TIMES_RANGE * spread)).any(axis=2))  # False for NaN
+    y, x, stands_out, spread = _standing_out(image)
     if not len(y):
         return image
     median, around = (_medians(values, y, x) for values in (image, variance(image)))
-    here, stands_out = image[y, x], stands_out[y, x]
+    here = image[y, x]
     apart = np.abs(here - median)
     others = np.maximum(np.roll(apart, 1, axis=1), np.roll(apart, 2, axis=1))
-    least = np.maximum(_SIGMAS * np.sqrt(around), _TIMES_RANGE * spread[y, x])
+    least = np.maximum(_SIGMAS * np.sqrt(around), _TIMES_RANGE * spread)
     defective = (stands_out > least) & (apart > _TIMES_OTHERS * others)
     if not defective.any():
         return image
@@ -67,8 +64,28 @@ def without_defects(image: np.ndarray, variance: Callable[[np.ndarray], np.ndarr
     return out
 
 
+def _standing_out(image: np.ndarray) -> list[np.ndarray]:
+    """Return rows and columns of pixels beyond the range of all neighbours, by how much, and that range; (P, 3)."""
+    ring = np.ones((3, 3), np.uint8)
+    ring[1, 1] = 0
+    parts: dict[int, tuple[np.ndarray, ...]] = {}
+
+    def look(rows: slice) -> None:
+        here, above = image[rows], min(1, rows.start)
+        seen = image[rows.start - above : rows.stop + 1]
+        highest, lowest = (of(seen, ring)[above:][: len(here)] for of in (cv2.dilate, cv2.erode))
+        stands_out, spread = np.maximum(here - highest, lowest - here), highest - lowest
+        y, x = np.nonzero(((stands_out > 0) & (stands_out > _TIMES_RANGE * spread)).any(axis=2))  # False for NaN
+        parts[rows.start] = y + rows.start, x, stands_out[y, x], spread[y, x]
+
+    each_band(look, len(image))
+    return [np.concatenate(part) for part in zip(*(parts[first] for first in sorted(parts)), strict=True)]
+
+
 def _medians(values: np.ndarray, y: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Return the median of 3 x 3 px about pixels, in every channel; (P, 3)."""
-    padded = np.pad(values, ((1, 1), (1, 1), (0, 0)), mode="edge")
-    around = np.stack([padded[y + i, x + j] for i in range(3) for j in range(3)])
+    rows, columns = (
+        np.clip(at + np.array([[-1], [0], [1]]), 0, n - 1) for at, n in zip((y, x), values.shape[:2], strict=True)
+    )
+    around = np.stack([values[i, j] for i in rows for j in columns])
     return np.asarray(np.sort(around, axis=0)[4])

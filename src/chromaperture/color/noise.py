@@ -42,8 +42,10 @@ _MOST_ELECTRONS = 1e7  # no pixel holds more: quieter pictures were computed, no
 def photon_noise_variance(image: np.ndarray, *, full_well_electrons: float, read_noise_electrons: float) -> np.ndarray:
     """Compute the variance of shot and read noise; (H, W, 3) float32, (white level)^2."""
     # Smoothed first: the variance of a noisy pixel would correlate with its noise. Sigma chosen by hand.
-    signal = np.maximum(cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), 2.0), 0)
-    return signal / np.float32(full_well_electrons) + np.float32((read_noise_electrons / full_well_electrons) ** 2)
+    smooth = cv2.GaussianBlur(np.asarray(image, np.float32), (0, 0), 2.0)
+    # In place: of many megapixels a copy takes as long as the rest.
+    variance = np.divide(np.maximum(smooth, 0, out=smooth), np.float32(full_well_electrons), out=smooth)
+    return np.add(variance, np.float32((read_noise_electrons / full_well_electrons) ** 2), out=variance)
 
 
 def fine_structure(image: np.ndarray) -> np.ndarray:

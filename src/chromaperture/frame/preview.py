@@ -221,8 +221,9 @@ def color_pictures(frame: DepthFrame) -> ColorPictures:
 
     def take(rows: slice, color: np.ndarray) -> None:
         linear_to_srgb_bytes(color, out=srgb[rows])
-        means = reduced_by_whole(color, factor)
-        small[rows.start // factor :][: len(means)] = means
+        if len(color) >= factor:  # the last band may have rows for no average
+            means = reduced_by_whole(color, factor)
+            small[rows.start // factor :][: len(means)] = means
 
     frame.color_bands(take, multiple=factor)
     return ColorPictures(srgb, small)

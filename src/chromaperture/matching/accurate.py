@@ -10,6 +10,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from chromaperture.matching.blocks import BLOCK_PX, at_pixels, block_means, of_pixels
 from chromaperture.matching.error_bar import (
     confidence,
     local_range,
@@ -23,23 +24,15 @@ from chromaperture.matching.error_bar import (
 from chromaperture.matching.execution import Execution
 from chromaperture.matching.labels import LabelMap, Surface, parabola_winner
 from chromaperture.matching.learned_error_bar import learned_bar, signs
-from chromaperture.matching.planes.block_surface import (
-    BlockSurface,
-    at_pixels,
-    block_sums,
-    depth_edges_of,
-    of_pixels,
-    read_along,
-    surface_of_blocks,
-)
-from chromaperture.matching.planes.depth_edges import BLOCK_PX
+from chromaperture.matching.planes.block_surface import BlockSurface, read_along, surface_of_blocks
+from chromaperture.matching.planes.depth_edges import edge_log_odds
 from chromaperture.matching.readable.between_layers import between_layers
-from chromaperture.matching.readable.paths import Posterior
+from chromaperture.matching.readable.paths import Posterior, path_temperature
 from chromaperture.matching.result import Disparity, Method, NoiseModel, Pending
 from chromaperture.matching.views import ViewSpace, clipped_filled, filtered_views
 from chromaperture.settings.methods import AccurateConfig
 from chromaperture.system.errors import InputError
-from chromaperture.system.threads import each_band, submit
+from chromaperture.system.threads import submit
 
 EDGE_REACH_PX = 8  # two sigmas of the correlation window
 POOLED_PX = 8.0  # sigma of the window in which the posterior's variance is averaged: paths draw streaks into it
@@ -51,7 +44,7 @@ ALL_CHANNELS = np.eye(3)  # every pair of channels is evidence, the widest pairs
 
 
 class Evidence(Protocol):
-    """Log-likelihood of every label at every pixel."""
+    """Log-likelihood of every label in every block."""
 
     @property
     def noise(self) -> NoiseModel:
@@ -65,7 +58,7 @@ class Evidence(Protocol):
         *,
         noise_variance: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return nats a pixel, (H, W, N) float32, for labels between ``layers_px``, the layers to evaluate.
+        """Return nats a pixel, (H // 4, W // 4, N) float32, for labels between ``layers_px``, the layers to evaluate.
 
         ``noise_variance`` is that of the image, (H, W, 3); without it, it is computed.
         """
@@ -81,12 +74,11 @@ class Prepared(NamedTuple):
 
 
 class PathSurface(NamedTuple):
-    """What paths through the volume leave of it."""
+    """What paths through the evidence of blocks find."""
 
-    label_px: np.ndarray  # (H, W) float32: without NaN
+    label_px: np.ndarray  # (h, w) float32: without NaN
     posterior: Posterior  # of the labels, px
-    # (h, w, N) float32: sums of the evidence over blocks of 4 px; empty of pictures that hold no 2 x 2 of them.
-    nats: np.ndarray
+    nats: np.ndarray  # (h, w, N) float32: the evidence, nats a pixel
 
 
 @dataclass(frozen=True)
@@ -109,14 +101,22 @@ class AccurateMethod(Method):
         return self.begin(image, at_once).result()
 
     def begin(self, image: np.ndarray, find: Callable[[Prepared], Pending[PathSurface]]) -> Pending[Disparity]:
-        """Begin with an image (H, W, 3); ``find`` is `path_surface`, or a device that finds the same."""
+        """Begin with an image (H, W, 3); ``find`` is `path_surface`, or a device that finds the same.
+
+        Of an image with fewer than two blocks along a side nothing is known.
+        """
+        if min(image.shape[:2]) < 2 * BLOCK_PX:
+            unknown = np.full(image.shape[:2], np.nan, np.float32)
+            return Pending(lambda: Disparity(unknown, unknown.copy(), np.zeros_like(unknown)))
         prepared = self.prepared(image)
         pending = find(prepared)
-        depth_edges = submit(partial(depth_edges_of, prepared.image))
+        depth_edges = submit(partial(edge_log_odds, prepared.image))
 
         def result() -> Disparity:
             found = pending.result()
-            surface = explained_surface(found, depth_edges(), self.labels_px, config=self.config, run=self.run)
+            surface = explained_surface(
+                found, depth_edges(), self.labels_px, image.shape[:2], config=self.config, run=self.run
+            )
             return self.of_labels(surface, prepared.image, prepared.usable)
 
         return Pending(result)
@@ -137,10 +137,8 @@ class AccurateMethod(Method):
         image, usable, guide, variance = prepared
         likelihood = self.evidence.at(image, self.config.layers.values_px, self.labels_px, noise_variance=variance)
         if not usable.all():
-            each_band(
-                lambda rows: np.multiply(likelihood[rows], usable[rows, :, None], out=likelihood[rows]), len(usable)
-            )
-        return path_surface(likelihood, guide, self.labels_px, config=self.config, run=self.run)
+            likelihood *= block_means(usable)[..., None]
+        return path_surface(likelihood, block_means(guide), self.labels_px, config=self.config, run=self.run)
 
     def of_labels(self, surface: Surface, image: np.ndarray, usable: np.ndarray) -> Disparity:
         """Return the disparity of a surface of labels; image and where it is usable as `clipped_filled` has them."""
@@ -161,10 +159,10 @@ def with_halves(layers_px: np.ndarray) -> np.ndarray:
 def path_surface(
     likelihood: np.ndarray, guide: np.ndarray, labels_px: np.ndarray, *, config: AccurateConfig, run: Execution
 ) -> PathSurface:
-    """Find the surface of least cost along paths, the posterior of its labels, and the evidence of blocks.
+    """Find the surface of least cost along paths, and the posterior of its labels.
 
-    ``likelihood`` (H, W, N) float, nats a pixel; ``guide`` (H, W) float: centre view, in units of ``guide_range``;
-    ``labels_px`` (N,) float, px. Raises InputError: shapes do not fit together.
+    ``likelihood`` (h, w, N) float, nats a pixel of blocks; ``guide`` (h, w) float: centre view, in units of
+    ``guide_range``; ``labels_px`` (N,) float, px. Raises InputError: shapes do not fit together.
     """
     if likelihood.ndim != 3 or likelihood.shape[:2] != guide.shape or likelihood.shape[2] != len(labels_px):
         raise InputError(
@@ -175,50 +173,45 @@ def path_surface(
     likelihood = np.ascontiguousarray(likelihood, np.float32)
     cost = run.aggregate_paths(likelihood, guide, labels_px, config=surface)
     least = least_cost(cost, labels_px)
-    label_px = between_layers(least, likelihood, labels_px, sigma_px=surface.interpolation_sigma_px)
-    posterior = run.posterior(cost, labels_px, temperature=surface.temperature * surface.paths)
-    return PathSurface(label_px, posterior, block_sums(likelihood))
+    label_px = between_layers(least, likelihood, labels_px, sigma=surface.interpolation_sigma_px / BLOCK_PX)
+    posterior = run.posterior(cost, labels_px, temperature=path_temperature(surface))
+    return PathSurface(label_px, posterior, likelihood)
 
 
 def explained_surface(
-    found: PathSurface, log_odds: np.ndarray, labels_px: np.ndarray, *, config: AccurateConfig, run: Execution
+    found: PathSurface,
+    log_odds: np.ndarray,
+    labels_px: np.ndarray,
+    shape: tuple[int, int],
+    *,
+    config: AccurateConfig,
+    run: Execution,
 ) -> Surface:
     """Explain the evidence of blocks by one surface, with its error bar.
 
-    ``log_odds`` (2, h, w) float32: as `depth_edges_of`; ``labels_px`` (N,) float, px. Returns the disparity is NaN
-    where it is unknown and within half a layer of an end of the range.
+    ``log_odds`` (2, h, w) float32: as `edge_log_odds`; ``labels_px`` (N,) float, px; ``shape``: of the picture. Returns
+    the disparity (H, W), NaN where it is unknown and within half a layer of an end of the range.
     """
-    step, shape = float(labels_px[1] - labels_px[0]), found.label_px.shape
-    certain_px = sigma_of_range(labels_px)
-    if min(found.nats.shape[:2]) < 2:
-        return _without_blocks(found, labels_px)
+    step = float(labels_px[1] - labels_px[0])
     first = (found.label_px - np.float32(labels_px[0])) / np.float32(step)
     blocks = surface_of_blocks(
-        found.nats, first, found.posterior.sigma_px(found.label_px) / np.float32(step), log_odds,
-        planes=config.planes, plate=config.plate, run=run,
+        found.nats * np.float32(BLOCK_PX**2), first, found.posterior.sigma_px(found.label_px) / np.float32(step),
+        log_odds, planes=config.planes, plate=config.plate, run=run,
     )  # fmt: skip
-    label = at_pixels(blocks.label, shape)
-    label_px = np.asarray(labels_px[0] + step * label, np.float32)
-    sigma_px = found.posterior.sigma_px(label_px)
-    as_region = of_pixels(known_blocks(blocks, config.planes.known_from_nats), shape)
-    known = (sigma_px < certain_px) | as_region
-    explained = -np.expm1(-2 / BLOCK_PX**2 * read_along(found.nats, np.rint(blocks.label)))
-    peak = of_pixels(np.sqrt(np.maximum(explained, 0)), shape)
+    posterior_px = found.posterior.sigma_px(np.asarray(labels_px[0] + step * blocks.label, np.float32))
+    as_region = known_blocks(blocks, config.planes.known_from_nats)
+    known = of_pixels((posterior_px < sigma_of_range(labels_px)) | as_region, shape)
+    peak = np.sqrt(np.maximum(-np.expm1(-2 * read_along(found.nats, np.rint(blocks.label))), 0))
+    label_px = np.asarray(labels_px[0] + step * at_pixels(blocks.label, shape), np.float32)
+    pooled_px = pooled_sigma(posterior_px, POOLED_PX / BLOCK_PX)
     if config.surface.learned_error_bar == "none":
-        sigma_px = np.hypot(pooled_sigma(sigma_px, POOLED_PX), EDGE_SHARE * local_range(label_px, EDGE_REACH_PX))
+        sigma_px = np.hypot(of_pixels(pooled_px, shape), EDGE_SHARE * local_range(label_px, EDGE_REACH_PX))
     else:
-        bar = learned_bar(signs(blocks, first, sigma_px / np.float32(step)), config.surface.learned_error_bar)
-        learned_px = np.asarray(step * at_pixels(bar, shape), np.float32)
+        bar = learned_bar(signs(blocks, first, posterior_px / np.float32(step)), config.surface.learned_error_bar)
         # Where not even a region's evidence tells one place from others, the posterior is all there is.
-        sigma_px = np.where(as_region, learned_px, np.maximum(learned_px, pooled_sigma(sigma_px, POOLED_PX)))
-    return Surface(_inside(label_px, known, labels_px), sigma_px, peak)
-
-
-def _without_blocks(found: PathSurface, labels_px: np.ndarray) -> Surface:
-    """Return the paths' own surface, of a picture too small for blocks."""
-    sigma_px = found.posterior.sigma_px(found.label_px)
-    known = sigma_px < sigma_of_range(labels_px)
-    return Surface(_inside(found.label_px, known, labels_px), sigma_px, np.zeros_like(sigma_px))
+        bar_px = np.where(as_region, step * bar, np.maximum(step * bar, pooled_px))
+        sigma_px = np.asarray(step * at_pixels(bar_px / step, shape), np.float32)
+    return Surface(_inside(label_px, known, labels_px), sigma_px, of_pixels(peak, shape))
 
 
 def _inside(label_px: np.ndarray, known: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
@@ -242,14 +235,8 @@ def known_blocks(surface: BlockSurface, from_nats: float) -> np.ndarray:
 
 
 def least_cost(cost: np.ndarray, labels_px: np.ndarray) -> np.ndarray:
-    """Return the label of least cost, between labels by a parabola; (H, W) float32, px."""
-    out = np.empty(cost.shape[:2], np.float32)
-
-    def find(rows: slice) -> None:
-        label = parabola_winner(cost[rows], labels_px, lower_is_better=True).disparity_px
-        at_end = ~np.isfinite(label)
-        label[at_end] = labels_px[cost[rows][at_end].argmin(axis=1)]
-        out[rows] = label
-
-    each_band(find, len(out))
-    return out
+    """Return the label of least cost, between labels by a parabola; (h, w) float32, px."""
+    label = parabola_winner(cost, labels_px, lower_is_better=True).disparity_px
+    at_end = ~np.isfinite(label)
+    label[at_end] = labels_px[cost[at_end].argmin(axis=1)]
+    return label

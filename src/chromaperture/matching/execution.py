@@ -13,6 +13,7 @@ import numpy as np
 
 from chromaperture.matching.labels import LabelMap, PathWinner, Surface, Winner
 from chromaperture.matching.readable.cross_filter import Tile
+from chromaperture.matching.readable.pair_evidence import Fallback
 from chromaperture.matching.readable.paths import Posterior
 from chromaperture.matching.readable.planes import PlaneCosts
 from chromaperture.matching.readable.upsample import Coarse
@@ -108,6 +109,17 @@ class Execution(Protocol):
     def band_powers(self, fine: np.ndarray, coarse: np.ndarray, *, sigma: float) -> np.ndarray:
         """Return the powers of both pictures in the same windows; (H / 2, W / 2, 2)."""
 
+    def pair_evidence(
+        self,
+        correlation: np.ndarray,
+        places: np.ndarray,
+        *,
+        primary: int,
+        band_weights: Sequence[float],
+        fallback: Fallback,
+    ) -> np.ndarray:
+        """Return what the correlations of all pairs and bands earn at every layer; (H, W, D)."""
+
     def spectral_likelihood(
         self,
         spectra: np.ndarray,
@@ -128,10 +140,9 @@ class Execution(Protocol):
         label_map: LabelMap,
         *,
         factors: float = 1.0,
-        shape: tuple[int, ...] | None = None,
-        spacing_px: int = 1,
+        places: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> np.ndarray:
-        """Interpolate a volume of log-likelihoods at the pixels and labels of a map; (H, W, N)."""
+        """Interpolate a volume of log-likelihoods at the labels of a map and between its samples; (H, W, N)."""
 
     def aggregate_paths(
         self, likelihood: np.ndarray, guide: np.ndarray, layers_px: np.ndarray, *, config: SurfaceConfig

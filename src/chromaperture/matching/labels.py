@@ -41,6 +41,10 @@ class LabelMap(NamedTuple):
         """Return where the label of the first of some layers lies at every pixel, in layers from that one."""
         return np.asarray((self.offset_px + (self.scale - 1) * layers_px[0]) / float(layers_px[1] - layers_px[0]))
 
+    def at(self, rows: np.ndarray, columns: np.ndarray) -> LabelMap:
+        """Return the map at some rows and columns of pixels."""
+        return self if self.is_identity else LabelMap(*(part[np.ix_(rows, columns)] for part in self))
+
     def of_cells(self, cell_px: int) -> LabelMap:
         """Return the map at every so manyth pixel; disparities stay as they are."""
         return LabelMap(*(np.ascontiguousarray(part[::cell_px, ::cell_px]) for part in self))

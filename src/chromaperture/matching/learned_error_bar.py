@@ -21,8 +21,8 @@ from typing import Literal, NamedTuple
 import cv2
 import numpy as np
 
-from chromaperture.matching.planes.block_surface import BlockSurface, block_means, read_along
-from chromaperture.matching.planes.depth_edges import BLOCK_PX
+from chromaperture.matching.blocks import BLOCK_PX
+from chromaperture.matching.planes.block_surface import BlockSurface, read_along
 
 Source = Literal["blur", "views"]
 POOLED_BLOCKS = 2.0  # sigma of the window in which signs are averaged
@@ -66,12 +66,12 @@ def signs(surface: BlockSurface, first: np.ndarray, sigma: np.ndarray) -> dict[s
     ``evidence``: nats a pixel along the surface; ``paths`` and ``planes``: how far the paths' surface and the planes
     lie from it; ``edges``: how likely depth edges are nearby; ``range_N``: range of the surface within N blocks.
 
-    ``first``, ``sigma`` (H, W) float, labels: the paths' surface, and the standard deviation of their posterior about
+    ``first``, ``sigma`` (h, w) float, labels: the paths' surface, and the standard deviation of their posterior about
     the final one.
     """
     label = np.asarray(surface.label, np.float32)
-    posterior = np.log(np.sqrt(pooled(block_means(np.square(sigma)))) + np.float32(LEAST_LABELS))
-    away = {"paths": block_means(first), "planes": surface.regions.label}
+    posterior = np.log(np.sqrt(pooled(np.square(sigma))) + np.float32(LEAST_LABELS))
+    away = {"paths": first, "planes": surface.regions.label}
     found = {
         "posterior": posterior,
         "frame": np.full_like(posterior, posterior.mean()),

@@ -129,8 +129,3 @@ class Method(ABC):
     def makes_extras(self) -> bool:
         """Whether `start` makes what is asked for besides the disparity."""
         return False
-
-    @property
-    def holds_volumes(self) -> bool:
-        """Whether volumes lie in the memory of this process."""
-        return True

@@ -40,11 +40,6 @@ class ScaledMethod(Method):
         unit = guide_unit(guide, self.config.views)
         return Disparity(*self.run.upsample(coarse_maps(found, guide * np.float32(unit)), image, rgb * unit))
 
-    @property
-    def holds_volumes(self) -> bool:
-        """Whether volumes lie in the memory of this process."""
-        return self.method.holds_volumes
-
 
 def reduced(image: np.ndarray, size_px: tuple[int, int]) -> np.ndarray:
     """Reduce a picture by area averages.

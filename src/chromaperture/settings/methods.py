@@ -186,7 +186,7 @@ class AccurateConfig(MatcherConfig):
         widest separation is that of one pair of channels, as of two halves; where such views lie apart, evidence counts
         as far as it is a pixel's own. ``full_well_electrons``: of the sensor, see `CrossFilterConfig.for_blur`.
         """
-        surface = SurfaceConfig(slope_penalty=25.0 / reach, edge_range=1.0, temperature=0.3, learned_error_bar="blur")
+        surface = SurfaceConfig(slope_penalty=25.0 / reach, temperature=0.3, learned_error_bar="blur")
         layers = LayersConfig(step_px=0.3 * reach)
         evidence = CrossFilterConfig.for_blur(reach, full_well_electrons=full_well_electrons)
         planes = PlanesConfig(known_from_nats=KNOWN_FROM_NATS_OF_BLUR)

@@ -216,19 +216,19 @@ class SurfaceConfig(Settings):
 
     #: Directions of semi-global matching, 4 or 8.
     paths: int = 8
-    #: Cost of a change of disparity between two neighbours, nats per px; large, because the windows of neighbours
-    #: overlap: their log-likelihoods are not independent.
+    #: Cost of a change of disparity between two blocks, nats per px; large, because the windows of neighbours overlap:
+    #: their log-likelihoods are not independent.
     slope_penalty: Positive = 25.0
     #: Largest cost of a change, nats: a depth edge.
     jump_penalty: Positive = 25.0
     #: Difference of the guide, in units of ``guide_range``, at which the penalties have fallen to 1/e.
-    edge_range: Positive = 0.5
+    edge_range: Positive = 4.0
     #: Fraction of the penalties that remains across the strongest edge of the guide.
     edge_floor: Share = 0.05
     #: Gaussian window over which neighbours decide where between two layers the surface lies.
     interpolation_sigma_px: Positive = 8.0
     #: Nats a path by which a layer may cost more and still be 1/e as probable. Fitted on captures of known depth.
-    temperature: Positive = 0.5
+    temperature: Positive = 0.7
     #: Judge the surface by ``matching/error_bar.py``, as learned from evidence of that kind, or by its
     #: posterior and its range alone.
     learned_error_bar: Literal["blur", "views", "none"] = "views"
@@ -265,7 +265,7 @@ class PlanesConfig(Settings):
 class PlateConfig(Settings):
     """The plate that follows the evidence from planes; labels are half a layer apart, 0.15 px of blur."""
 
-    rounds: Annotated[int, Field(ge=1, le=100)] = 3
+    rounds: Annotated[int, Field(ge=1, le=100)] = 2
     #: Share of the pixels' nats that counts: windows overlap, so that neighbours say much the same.
     evidence_share: Positive = 0.15
     #: Share of that for blocks that a likely depth edge touches.
@@ -299,7 +299,7 @@ class SpectralConfig(Settings):
     #: Sigma of the windows' Gaussian taper.
     taper_px: Positive = 8.0
     #: Distance of two windows.
-    stride_px: Annotated[int, Field(ge=1)] = 10
+    stride_px: Annotated[int, Field(ge=1)] = 14
     #: Slopes of the texture's power spectrum f^(-2 slope) that are tried; the last one is that of shading, which has no
     #: detail that blur could take.
     slopes: Annotated[tuple[Positive, ...], Field(min_length=1)] = (0.75, 1.0, 1.3, 1.7, 3.0)

@@ -7,6 +7,7 @@ from chromaperture.matching.compiled.cross_filter import cross_filter
 from chromaperture.matching.compiled.enlarge import enlarge
 from chromaperture.matching.compiled.four_paths import four_path_winner
 from chromaperture.matching.compiled.joining import join_regions
+from chromaperture.matching.compiled.pair_evidence import pair_evidence
 from chromaperture.matching.compiled.paths import aggregate_paths, posterior, read_at_labels
 from chromaperture.matching.compiled.place import halved_surface, place_by_correlation
 from chromaperture.matching.compiled.planes import agreed_plane, plane_costs
@@ -27,6 +28,7 @@ __all__ = [
     "four_path_winner",
     "halved_surface",
     "join_regions",
+    "pair_evidence",
     "place_by_correlation",
     "plane_costs",
     "point_transforms",

@@ -12,7 +12,6 @@ from typing import NamedTuple
 import numpy as np
 
 from chromaperture.matching.compiled import simd as v
-from chromaperture.matching.compiled.workspace import volume
 from chromaperture.matching.labels import LabelMap
 from chromaperture.matching.readable.paths import EDGE_LAYERS, LEAST_UNEXPLAINED, LINES, Posterior, penalties_of
 from chromaperture.settings.stages import SurfaceConfig
@@ -44,7 +43,7 @@ def aggregate_paths(
     """Sum the path costs, as `readable.aggregate_paths`; (H, W, D) float32."""
     likelihood, guide = (np.ascontiguousarray(maps, np.float32) for maps in (likelihood, guide))
     penalties = Penalties(*map(np.float32, penalties_of(config, layers_px)))
-    total = volume(likelihood.shape)
+    total = np.empty_like(likelihood)
     own = np.float32(config.paths - 1)  # is taken off: a pixel's log-likelihood counts once, not once a path
     for line in LINES[: config.paths // 2]:
         starts = line_starts(guide.shape[0], guide.shape[1], *line)
@@ -80,25 +79,23 @@ def read_at_labels(
     label_map: LabelMap,
     *,
     factors: float = 1.0,
-    shape: tuple[int, ...] | None = None,
-    spacing_px: int = 1,
+    places: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
     """Interpolate a volume at the labels of a map, as `readable.read_at_labels`; (H, W, N) float32."""
-    shape = shape or likelihood.shape[:2]
-    out = volume((*shape, len(labels_px)))
+    samples = likelihood.shape[:2]
+    down, across = (
+        np.minimum(place, n - 1).astype(np.float32)
+        for place, n in zip(places or map(np.arange, samples), samples, strict=True)
+    )
+    out = np.empty((len(down), len(across), len(labels_px)), np.float32)
     step = float(layers_px[1] - layers_px[0])
     unexplained = np.exp(np.float32(-2 / factors) * np.asarray(likelihood, np.float32))
     labels = ((np.asarray(labels_px, float) - layers_px[0]) / step).astype(np.float32)
     begin = label_map.first_layer(layers_px).astype(np.float32)
-    rows, columns = (
-        np.minimum(spacing_px * np.arange(n), m - 1) for n, m in zip(likelihood.shape, shape, strict=False)
-    )
-    offset, scale = (
-        np.array(np.broadcast_to(part, shape)[np.ix_(rows, columns)], np.float32) for part in (begin, label_map.scale)
-    )
+    offset, scale = (np.array(np.broadcast_to(part, samples), np.float32) for part in (begin, label_map.scale))
 
     def fill(_: int, top: int, bottom: int) -> None:
-        _read_at_labels(unexplained, labels, offset, scale, np.float32(factors), spacing_px, top, bottom, out)
+        _read_at_labels(unexplained, labels, offset, scale, np.float32(factors), down, across, top, bottom, out)
 
     in_parallel(fill, len(out))
     return out
@@ -240,7 +237,7 @@ def _posterior(cost, temperature, mean, variance):  # type: ignore[no-untyped-de
 
 
 @compiled(fastmath=FAST, error_model="numpy")
-def _read_at_labels(unexplained, labels, offset, scale, factors, spacing, top, bottom, out):  # type: ignore[no-untyped-def]
+def _read_at_labels(unexplained, labels, offset, scale, factors, down, across, top, bottom, out):  # type: ignore[no-untyped-def]
     """Rows from ``top`` to before ``bottom``; labels and offset count in layers from the first one."""
     height, width = unexplained.shape[:2]
     count = len(labels)
@@ -253,20 +250,20 @@ def _read_at_labels(unexplained, labels, offset, scale, factors, spacing, top, b
     lines, values, sums = at_labels.reshape(-1), mixed.reshape(-1), out.reshape(-1)
     held = -1  # row of samples up to which `at_labels` has been computed
     for y in range(top, bottom):
-        above = min(y // spacing, height - 1)
+        above = np.int64(down[y])
         below = min(above + 1, height - 1)
         for row in range(max(held + 1, above), below + 1):
             _labels_of_row(unexplained[row], labels, offset[row], scale[row], at_labels[row % 2])
             held = row
-        weight = v.broadcast(np.float32(y - above * spacing) / np.float32(spacing))
+        weight = v.broadcast(down[y] - np.float32(above))
         upper, lower = (above % 2) * width * padded, (below % 2) * width * padded
         for k in range(0, width * padded, v.LANES):
             first = v.load(lines, upper + k)
             v.store(values, k, v.fma(weight, v.sub(v.load(lines, lower + k), first), first))
         for x in range(out.shape[1]):
-            left = min(x // spacing, width - 1)
+            left = np.int64(across[x])
             here, beside = left * padded, min(left + 1, width - 1) * padded
-            weight = v.broadcast(np.float32(x - left * spacing) / np.float32(spacing))
+            weight = v.broadcast(across[x] - np.float32(left))
             at = (y * out.shape[1] + x) * count
             for k in range(0, padded, v.LANES):
                 first = v.load(values, here + k)
@@ -291,7 +288,8 @@ def _labels_of_row(row, labels, offset, scale, out):  # type: ignore[no-untyped-
     q0, q1, q2, q3, q4, q5 = np.empty((6, count), np.float32)
     lows, ts, insides = np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.bool_)
     for x in range(len(row)):
-        samples[2 : layers + 2] = row[x]
+        for k in range(layers):
+            samples[2 + k] = row[x, k]
         samples[1] = two * samples[2] - samples[3]
         samples[0] = two * samples[1] - samples[2]
         samples[layers + 2] = two * samples[layers + 1] - samples[layers]

@@ -6,21 +6,15 @@ from __future__ import annotations
 import numpy as np
 
 from chromaperture.matching.compiled.layout import ONE, ZERO, kernel
-from chromaperture.matching.compiled.workspace import give_back_volumes
 from chromaperture.matching.readable.upsample import JUMP_PX, LEAST_WEIGHT, Coarse, places
 from chromaperture.system.threads import in_parallel
 
 _JUMP, _LEAST, _HALF = np.float32(JUMP_PX), np.float32(LEAST_WEIGHT), np.float32(0.5)
 _NAN = np.float32(np.nan)
-# Of a photograph, 5.6 megapixels: from here on its maps take more memory than the volumes of its reduced picture,
-# 0.4 GB, and handing these out anew takes less than a tenth of its time.
-_LARGE_BYTES = 1 << 26
 
 
 def upsample(coarse: Coarse, image: np.ndarray, guide_rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Bring maps to the pixels of the photograph, as `readable.upsample`; volumes of large ones are given back."""
-    if image.nbytes > _LARGE_BYTES:
-        give_back_volumes()
+    """Bring maps to the pixels of the photograph, as `readable.upsample`."""
     height, width = image.shape[:2]
     maps = Coarse(*(np.ascontiguousarray(part) for part in coarse))
     rows, columns = places(height, len(maps.guide)), places(width, maps.guide.shape[1])

@@ -1,11 +1,12 @@
 """Quality "accurate" on a device: evidence and paths, `AccurateMethod.path_surface`; all else is `AccurateMethod`.
 
-The photograph goes up once. What comes down are the paths' surface, mean and variance of its labels, and the sums of
-the evidence over blocks: a sixteenth of the volume. While the device works, the CPU finds depth edges.
+The photograph goes up once. What comes down are the paths' surface, mean and variance of its labels, and the evidence,
+all of blocks. While the device works, the CPU finds depth edges.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ from operator import call
 import numpy as np
 
 from chromaperture.matching.accurate import AccurateMethod, PathSurface, Prepared
+from chromaperture.matching.blocks import BLOCK_PX, block_means
 from chromaperture.matching.device.device import Array, Chain, Device
 from chromaperture.matching.device.evidence_stages import EvidencePlan, add_evidence, plan_evidence
 from chromaperture.matching.device.label_stages import (
@@ -24,16 +26,15 @@ from chromaperture.matching.device.label_stages import (
     add_windows,
 )
 from chromaperture.matching.device.measured import OnDevice
-from chromaperture.matching.device.surface_stages import Grid, add_block_sums, add_path_surface
+from chromaperture.matching.device.surface_stages import Grid, add_path_surface
 from chromaperture.matching.evidence.blur import BlurEvidence
 from chromaperture.matching.evidence.correlation import CorrelationEvidence
 from chromaperture.matching.evidence.spectral import SpectralEvidence
-from chromaperture.matching.planes.depth_edges import BLOCK_PX
 from chromaperture.matching.readable.paths import Posterior
 from chromaperture.matching.result import NO_EXTRAS, Extras, Measured, Pending
 from chromaperture.system.threads import parallel_map
 
-DOWN = ("label", "posterior", "blocks")
+DOWN = ("label", "posterior", "likelihood")
 
 
 def pairs_of(method: AccurateMethod) -> BlurEvidence | None:
@@ -52,20 +53,19 @@ class AccurateChain:
     device: Device
     shape: tuple[int, int]  # height and width of its photographs
     plan: EvidencePlan | None = field(init=False)  # None where the blur is not known: evidence is that of views
-    grid: Grid = field(init=False)
+    grid: Grid = field(init=False)  # of blocks
     chain: Chain = field(init=False)
 
     def __post_init__(self) -> None:
         config, labels_px = self.method.config, self.method.labels_px
-        self.grid = Grid(*self.shape, len(labels_px))
+        self.grid = Grid(self.shape[0] // BLOCK_PX, self.shape[1] // BLOCK_PX, len(labels_px))
         pairs = pairs_of(self.method)
         self.plan = None if pairs is None else plan_evidence(pairs, config.layers.values_px)
         self.chain = chain = Chain(self.device)
-        image, usable = (chain.array(name, n * self.grid.pixels) for name, n in (("image", 3), ("usable", 1)))
-        likelihood, guide = chain.array("likelihood", self.grid.size), chain.array("guide", self.grid.pixels)
+        image, likelihood = chain.array("image", 3 * math.prod(self.shape)), chain.array("likelihood", self.grid.size)
+        usable, guide = (chain.array(name, self.grid.pixels) for name in ("usable", "guide"))
         self._add_evidence(image, usable, likelihood)
         add_path_surface(chain, likelihood, guide, self.grid, labels_px, config=config.surface)
-        add_block_sums(chain, likelihood, self.grid, BLOCK_PX)
 
     def start(self, prepared: Prepared) -> Pending[PathSurface]:
         """Send a photograph to the device; at most two are under way, to be awaited in turn."""
@@ -74,13 +74,13 @@ class AccurateChain:
 
     def _found(self, got: dict[str, np.ndarray]) -> PathSurface:
         """Return what came down, in px."""
-        labels_px, (height, width), size = self.method.labels_px, self.shape, BLOCK_PX
+        labels_px, (height, width, _) = self.method.labels_px, self.grid
         first, step = float(labels_px[0]), float(labels_px[1] - labels_px[0])
         mean, variance = np.moveaxis(got["posterior"].reshape(height, width, 2), 2, 0)
         return PathSurface(
             np.asarray(first + step * got["label"].reshape(height, width), np.float32),
             Posterior(np.asarray(first + step * mean, np.float32), np.asarray(step**2 * variance, np.float32)),
-            got["blocks"].reshape(height // size, width // size, len(labels_px)),
+            got["likelihood"].reshape(self.grid),
         )
 
     def _add_evidence(self, image: Array, usable: Array, likelihood: Array) -> None:
@@ -115,11 +115,12 @@ class AccurateChain:
         evidence = self.method.evidence
         if not isinstance(evidence, SpectralEvidence) or not evidence.is_used(self.method.config.layers.values_px):
             return None
-        return WindowGrid(self.grid.height, self.grid.width, evidence.config.stride_px)
+        return WindowGrid(*self.shape, evidence.config.stride_px)
 
     def _inputs(self, prepared: Prepared) -> dict[str, np.ndarray]:
         image, usable, guide, variance = prepared
-        inputs = {"image": image, "usable": usable, "guide": guide}
+        usable = block_means(usable)
+        inputs = {"image": image, "usable": usable, "guide": block_means(guide)}
         of_noise: dict[str, Callable[[], np.ndarray]] = {}
         if self.plan is not None:
             if not np.isfinite(image).all():
@@ -140,7 +141,7 @@ class AccurateChain:
         return nodes.noise_powers(variance, noise_margin=pairs.config.noise_margin)
 
     def _counted(self, image: np.ndarray, usable: np.ndarray, variance: np.ndarray) -> np.ndarray:
-        """Return how much of the evidence of pairs counts at every pixel; (H, W)."""
+        """Return how much of the evidence of pairs counts in every block; (h, w)."""
         evidence = self.method.evidence
         own = evidence.own_detail(image, variance) if isinstance(evidence, SpectralEvidence) else None
         return usable if own is None else usable * own

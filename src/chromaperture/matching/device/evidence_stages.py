@@ -18,16 +18,9 @@ import scipy.fft
 
 from chromaperture.matching.device.device import GROUP, Array, Chain, DeviceError, groups_for
 from chromaperture.matching.device.surface_stages import AT_ONCE, add_gaussian, gaussian_taps
-from chromaperture.matching.evidence.blur import (
-    CONTRARY,
-    IN_FOCUS_PX,
-    MAX_CORRELATION2_OF_BANDS,
-    SPACING_PX,
-    BlurEvidence,
-    finest_px,
-    odd_layers,
-)
+from chromaperture.matching.evidence.blur import IN_FOCUS_PX, SPACING_PX, BlurEvidence, finest_px
 from chromaperture.matching.readable.band_correlation import LEAST_POWER, LEAST_SEEN
+from chromaperture.matching.readable.pair_evidence import CONTRARY, MAX_CORRELATION2_OF_BANDS
 from chromaperture.matching.readable.tiles import BACKGROUND_PX, LAG_PX, SAMPLING_PX, NodeAxis, Nodes
 from chromaperture.settings.stages import CrossFilterConfig
 
@@ -81,27 +74,24 @@ class EvidencePlan:
 
 def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
     """Choose layers and tiles; raises DeviceError where a tile is too large for the device."""
-    layers_px = odd_layers(layers_px)
-    numbers = np.arange(len(layers_px))
-    sharp = (numbers % 2 == 1) & source.is_sharp(layers_px)
-    of_all_pairs = (numbers % 4 == 0) | (numbers == numbers[-1])
-    computed = np.concatenate([numbers[of_all_pairs], numbers[~of_all_pairs & ((numbers % 2 == 0) | sharp)]])
-    places = np.full(len(layers_px), -1, np.int32)
-    places[computed] = np.arange(len(computed))
-    parts = [
-        Part(source.all_pairs, 0, int(of_all_pairs.sum())),
-        Part(source.blur.pairs, int(of_all_pairs.sum()), len(computed)),
-    ]
+    plan = source.plan(layers_px)
+    count = len(plan.computed_px)
+    parts = [Part(source.all_pairs, 0, plan.of_all_pairs), Part(source.blur.pairs, plan.of_all_pairs, count)]
     if source.all_pairs == source.blur.pairs:
-        parts = [Part(source.all_pairs, 0, len(computed))]
-    nodes = source.nodes(layers_px)
+        parts = [Part(source.all_pairs, 0, count)]
+    nodes = source.nodes(plan.layers_px)
     if nodes.size_px > MOST_TRANSFORMED:
         raise DeviceError(
             f"tiles of {nodes.size_px} px are too large for the GPU, at most {MOST_TRANSFORMED}: "
             "use --device cpu, or a smaller --scale"
         )
     return EvidencePlan(
-        source, layers_px, layers_px[computed], places, tuple(part for part in parts if part.end > part.begin), nodes
+        source,
+        plan.layers_px,
+        plan.computed_px,
+        plan.places[0].astype(np.int32),
+        tuple(part for part in parts if part.end > part.begin),
+        nodes,
     )
 
 

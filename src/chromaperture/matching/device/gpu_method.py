@@ -124,11 +124,6 @@ class DeviceMethod(Method):
         """Whether `start` makes what is asked for besides the disparity."""
         return self.on_gpu.makes_extras and not self.has_failed
 
-    @property
-    def holds_volumes(self) -> bool:
-        """Whether volumes lie in the memory of this process: they do if the CPU takes over, of which it is said."""
-        return False
-
     def fall_back(self, error: ChromapertureError) -> None:
         """Go on with the CPU, which is said once, or raise the error."""
         if not self.may_fall_back:

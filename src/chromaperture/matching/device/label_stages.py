@@ -11,9 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from chromaperture.matching.blocks import BLOCK_PX
 from chromaperture.matching.device.correlation_stages import add_correlation
 from chromaperture.matching.device.device import GROUP, Array, Chain, groups_for
 from chromaperture.matching.device.evidence_stages import EvidencePlan
+from chromaperture.matching.device.surface_stages import Grid, add_block_means
 from chromaperture.matching.device.view_stages import add_views
 from chromaperture.matching.evidence.blur import SPACING_PX
 from chromaperture.matching.evidence.correlation import MOST_EXPLAINED, CorrelationEvidence
@@ -134,9 +136,7 @@ def _add_labels(
         **same,
     )  # fmt: skip
     chain.add("slope_shares", [of_slope, shares], groups=(1,), rounds=LEARNING_ROUNDS, least_share=LEAST_SHARE, **same)
-    map_ = source.pairs.label_map
-    if not map_.is_identity:
-        map_ = LabelMap(*(part[np.ix_(grid.rows, grid.columns)] for part in map_))
+    map_ = source.pairs.label_map.at(grid.rows, grid.columns)
     at_windows = _label_map(chain, map_, few_px, name="window_label_map")
     earned = chain.array("windows", grid.count * len(labels_px))
     chain.add(
@@ -167,9 +167,9 @@ def add_labels(
     *,
     windows: WindowEvidence | None = None,
 ) -> None:
-    """Append `readable.read_at_labels`, at the pixels of the photograph, and add what windows say.
+    """Append `readable.read_at_labels`, in the blocks of the photograph, and add what windows say.
 
-    ``unexplained``: (samples, D); ``counted``: (H, W), factor on the evidence of pairs; ``likelihood``: (H, W, N),
+    ``unexplained``: (samples, D); ``counted``: (h, w), factor on the evidence of pairs; ``likelihood``: (h, w, N),
     written.
     """
     source, samples = plan.source, plan.samples
@@ -184,6 +184,7 @@ def add_labels(
         groups=groups_for(samples[0] * samples[1], 1), **same,
         **_polynomial(plan.layers_px, labels_px, source.label_map),
     )  # fmt: skip
+    rows, columns = height // BLOCK_PX, width // BLOCK_PX
     arrays, uses = [at_labels, counted, likelihood], "windows_none"
     more: dict[str, Any] = {}
     if windows is not None:
@@ -191,8 +192,8 @@ def add_labels(
         arrays += [windows.earned, windows.usable]
         more = dict(window_rows=len(grid.rows), window_columns=len(grid.columns), stride=grid.stride)
     chain.add(
-        "labels_between", arrays, groups=groups_for(samples[1] * height, 1), uses=(uses,), factors=float(plan.factors),
-        **same, **more,
+        "labels_between", arrays, groups=groups_for(rows * columns, 1), uses=(uses,), factors=float(plan.factors),
+        block_rows=rows, block_columns=columns, block_px=BLOCK_PX, **same, **more,
     )  # fmt: skip
 
 
@@ -206,9 +207,10 @@ def add_views_evidence(
 ) -> None:
     """Append the evidence of shifted views, `CorrelationEvidence.at`; ``shape`` is (H, W).
 
-    ``arrays``: image, where it is usable, and the likelihood, which is written.
+    ``arrays``: image, how far blocks are usable, and the likelihood, which is written.
     """
     image, usable, likelihood = arrays
+    of_pixels = chain.array("pixel_likelihood", shape[0] * shape[1] * len(labels_px))
     for i, (space, label_map) in enumerate(zip(source.spaces, source.label_maps, strict=True)):
         planes = add_views(chain, image, shape, space, source.views)
         score: Array | None = None
@@ -218,12 +220,13 @@ def add_views_evidence(
             score = volume
         assert score is not None
         chain.add(
-            "labels_read", [score, _label_map(chain, label_map, layers_px), usable, likelihood],
+            "labels_read", [score, _label_map(chain, label_map, layers_px), of_pixels],
             groups=groups_for(shape[0] * shape[1], 1), height=shape[0], width=shape[1], count=len(labels_px),
             factors=len(space.rows) - 1.0, views_of_score=len(space.rows), is_first=i == 0,
             most_explained=MOST_EXPLAINED, weight=1 / len(source.spaces),
             **_polynomial(layers_px, labels_px, label_map),
         )  # fmt: skip
+    add_block_means(chain, of_pixels, usable, likelihood, Grid(*shape, len(labels_px)), BLOCK_PX)
 
 
 def _polynomial(layers_px: np.ndarray, labels_px: np.ndarray, label_map: LabelMap) -> dict[str, Any]:

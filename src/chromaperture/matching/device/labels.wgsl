@@ -46,53 +46,51 @@ fn main(group, groups, local) {
 
 // ---- windows_none
 // Where windows of all channels are no evidence.
-fn of_windows(x: u32, y: u32, n: u32) -> f32 {
+fn of_windows(middle: vec2f, block: u32, n: u32) -> f32 {
     return 0.0;
 }
 
 // ---- windows_enlarged
-// Windows' evidence at a pixel, bilinear between windows; beyond the last one it holds.
+// Windows' evidence in a block, bilinear between windows; beyond the last one it holds.
 
 @group(0) @binding(3) var<storage, read> windows: array<f32>;  // (window rows, window columns, count) nats
-@group(0) @binding(4) var<storage, read> usable: array<f32>;  // (h, w)
+@group(0) @binding(4) var<storage, read> usable: array<f32>;  // (block rows, block columns)
 
-fn of_windows(x: u32, y: u32, n: u32) -> f32 {
-    let left = min(x / stride, window_columns - 1u);
-    let right = min(x / stride + 1u, window_columns - 1u);
-    let above = min(y / stride, window_rows - 1u) * window_columns;
-    let below = min(y / stride + 1u, window_rows - 1u) * window_columns;
-    let share = vec2f(vec2u(x, y) % stride) / f32(stride);
-    let upper = mix(windows[(above + left) * count + n], windows[(above + right) * count + n], share.x);
-    let lower = mix(windows[(below + left) * count + n], windows[(below + right) * count + n], share.x);
-    return usable[y * width + x] * mix(upper, lower, share.y);
+fn of_windows(middle: vec2f, block: u32, n: u32) -> f32 {
+    let last = vec2u(window_columns - 1u, window_rows - 1u);
+    let place = min(middle / f32(stride), vec2f(last));
+    let low = vec2u(place);
+    let high = min(low + 1u, last);
+    let above = low.y * window_columns;
+    let below = high.y * window_columns;
+    let upper = mix(windows[(above + low.x) * count + n], windows[(above + high.x) * count + n], fract(place.x));
+    let lower = mix(windows[(below + low.x) * count + n], windows[(below + high.x) * count + n], fract(place.x));
+    return usable[block] * mix(upper, lower, fract(place.y));
 }
 
 // ---- labels_between
-// Log-likelihoods of every pixel: linear between the unexplained fractions of samples, and what windows of all channels
-// say besides. A workgroup has the pixels of a row between two samples.
+// Log-likelihoods of every block: linear between the unexplained fractions of samples, and what windows of all channels
+// say besides. A workgroup has one block.
 
 in at_labels: array<f32>;  // (samples, count)
-in counted: array<f32>;  // (h, w): how much of the pairs' evidence is its own
-out likelihood: array<f32>;  // (h, w, count) nats
+in counted: array<f32>;  // (block rows, block columns): how much of the pairs' evidence is its own
+out likelihood: array<f32>;  // (block rows, block columns, count) nats a pixel
 
 fn main(group, groups, local) {
-    let cell = group.x + group.y * groups.x;
-    if (cell >= sample_width * height) { return; }
-    let y = cell / sample_width;
-    let left = cell % sample_width;
-    let right = min(left + 1u, sample_width - 1u);
-    let above = min(y / spacing, sample_height - 1u) * sample_width;
-    let below = min(y / spacing + 1u, sample_height - 1u) * sample_width;
-    let down = f32(y % spacing) / f32(spacing);
-    let first = left * spacing;
+    let block = group.x + group.y * groups.x;
+    if (block >= block_columns * block_rows) { return; }
+    let middle = vec2f(vec2u(block % block_columns, block / block_columns) * block_px) + f32(block_px - 1u) / 2.0;
+    let last = vec2u(sample_width - 1u, sample_height - 1u);
+    let place = min(middle / f32(spacing), vec2f(last));
+    let low = vec2u(place);
+    let high = min(low + 1u, last);
+    let above = low.y * sample_width;
+    let below = high.y * sample_width;
     for (var n = local; n < count; n += 64u) {
-        let before = mix(at_labels[(above + left) * count + n], at_labels[(below + left) * count + n], down);
-        let behind = mix(at_labels[(above + right) * count + n], at_labels[(below + right) * count + n], down);
-        for (var x = first; x < min(first + spacing, width); x++) {
-            let value = mix(before, behind, f32(x - first) / f32(spacing));
-            let pixel = y * width + x;
-            likelihood[pixel * count + n] = counted[pixel] * max(-factors / 2.0 * log(value), 0.0) + of_windows(x, y, n);
-        }
+        let upper = mix(at_labels[(above + low.x) * count + n], at_labels[(above + high.x) * count + n], fract(place.x));
+        let lower = mix(at_labels[(below + low.x) * count + n], at_labels[(below + high.x) * count + n], fract(place.x));
+        let nats = max(-factors / 2.0 * log(mix(upper, lower, fract(place.y))), 0.0);
+        likelihood[block * count + n] = counted[block] * nats + of_windows(middle, block, n);
     }
 }
 
@@ -102,7 +100,6 @@ fn main(group, groups, local) {
 
 in scores: array<f32>;  // (h, w, layers), of two or three views
 in label_map: array<vec2f>;  // (h, w) or (1,): offset and scale, in layers
-in usable: array<f32>;  // (h, w)
 out likelihood: array<f32>;  // (h, w, count) nats
 
 fn unexplained_by(score: f32) -> f32 {
@@ -119,6 +116,6 @@ fn main(group, groups, local) {
     for (var n = local; n < count; n += 64u) {
         let value = unexplained_at(map.x + map.y * (first_label + label_step * f32(n)));
         let before = select(likelihood[pixel * count + n], 0.0, is_first);
-        likelihood[pixel * count + n] = before + max(-factors / 2.0 * log(value), 0.0) * usable[pixel] * weight;
+        likelihood[pixel * count + n] = before + max(-factors / 2.0 * log(value), 0.0) * weight;
     }
 }

@@ -250,11 +250,13 @@ fn main(group, groups, local) {
     posterior[pixel] = vec2f(f32(best) + moments.x, max(moments.y - moments.x * moments.x, 0.0));
 }
 
-// ---- block_sums: indexing
-// Sums of a volume over squares of pixels; what is left over at the right and below is left out.
+// ---- block_means: indexing
+// Means of a volume over squares of pixels, as far as these are usable; what is left over at the right and below is left
+// out.
 
-in likelihood: array<f32>;  // (h, w, count)
-out blocks: array<f32>;  // (h / size, w / size, count)
+in of_pixels: array<f32>;  // (h, w, count)
+in usable: array<f32>;  // (h / size, w / size)
+out likelihood: array<f32>;  // (h / size, w / size, count)
 
 fn main(i) {
     let across = width / size;
@@ -263,7 +265,7 @@ fn main(i) {
     let first = (block / across * size * width + block % across * size) * count + i % count;
     var sum = 0.0;
     for (var y = 0u; y < size; y++) {
-        for (var x = 0u; x < size; x++) { sum += likelihood[first + (y * width + x) * count]; }
+        for (var x = 0u; x < size; x++) { sum += of_pixels[first + (y * width + x) * count]; }
     }
-    blocks[i] = sum;
+    likelihood[i] = usable[block] * sum / f32(size * size);
 }

@@ -1,7 +1,7 @@
 """Stages of quality "accurate" from a volume of log-likelihoods to a surface, appended to a chain.
 
-Paths, the place between the layers and the posterior: the files of ``readable/`` explain each. `block_surface.py` has
-the sums of blocks. Disparities count in layers here. Volumes are (h, w, count), layers of a pixel adjacent.
+Paths, the place between the layers and the posterior: the files of ``readable/`` explain each. Disparities count in
+layers here. Volumes are (h, w, count), layers of a block adjacent.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
+from chromaperture.matching.blocks import BLOCK_PX
 from chromaperture.matching.device.device import GROUP, Array, Chain, DeviceError
 from chromaperture.matching.readable.between_layers import TANGENTS
-from chromaperture.matching.readable.paths import LEAST_UNEXPLAINED, LINES, penalties_of
+from chromaperture.matching.readable.paths import LEAST_UNEXPLAINED, LINES, path_temperature, penalties_of
 from chromaperture.settings.stages import SurfaceConfig
 
 AT_ONCE = 8  # neighbours that an invocation of a filter has: what they read overlaps
@@ -133,7 +134,7 @@ def add_path_surface(
     cost, winner, offset, tangents, averages, label, posterior = (chain.array(*size) for size in sizes.items())
     add_paths(chain, likelihood, guide, cost, grid, labels_px, config=config)
     per_pixel(chain, "volume_winner", [cost, likelihood, winner], grid, count=grid.layers)
-    taps = gaussian_taps(config.interpolation_sigma_px)
+    taps = gaussian_taps(config.interpolation_sigma_px / BLOCK_PX)
     for i in range(TANGENTS):
         per_pixel(
             chain, "layer_tangents", [winner, offset, tangents], grid, is_first=i == 0,
@@ -143,17 +144,13 @@ def add_path_surface(
         per_pixel(chain, "layer_offsets", [winner, tangents, offset, label], grid)
     per_pixel(
         chain, "volume_posterior", [cost, posterior], grid, count=grid.layers,
-        temperature=config.temperature * config.paths,
+        temperature=path_temperature(config),
     )  # fmt: skip
 
 
-def add_block_sums(chain: Chain, likelihood: Array, grid: Grid, size: int) -> Array:
-    """Append sums of the volume over squares of pixels, as `block_surface.block_sums`; the array is ``blocks``."""
-    entries = (grid.height // size) * (grid.width // size) * grid.layers
-    blocks = chain.array("blocks", entries)
-    if entries > 0:
-        chain.add(
-            "block_sums", [likelihood, blocks], entries, height=grid.height, width=grid.width, count=grid.layers,
-            size=size,
-        )  # fmt: skip
-    return blocks
+def add_block_means(chain: Chain, of_pixels: Array, usable: Array, likelihood: Array, grid: Grid, size: int) -> None:
+    """Append means of a volume over squares of pixels, `blocks.block_means`, times how far these are usable."""
+    chain.add(
+        "block_means", [of_pixels, usable, likelihood], (grid.height // size) * (grid.width // size) * grid.layers,
+        height=grid.height, width=grid.width, count=grid.layers, size=size,
+    )  # fmt: skip

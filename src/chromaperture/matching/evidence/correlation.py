@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from chromaperture.matching.blocks import BLOCK_PX, block_means
 from chromaperture.matching.execution import Execution
 from chromaperture.matching.labels import LabelMap
 from chromaperture.matching.result import NoiseModel
@@ -16,6 +17,7 @@ from chromaperture.settings.stages import CorrelationEvidenceConfig, ViewsConfig
 # outweigh the whole neighbourhood; chosen by hand. An upper bound in its place makes the tops of peaks flat:
 # flat boards through three views locked to the labels by .11 px (`benchmarks/locking.py`).
 MOST_EXPLAINED = 0.999
+_ROWS = 16  # of blocks that are read at once: 26 MB of 720 columns and 143 labels; chosen by hand
 
 
 @dataclass(frozen=True)
@@ -37,16 +39,20 @@ class CorrelationEvidence:
         *,
         noise_variance: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return nats a pixel; (H, W, N) float32."""
+        """Return nats a pixel in blocks; (H // 4, W // 4, N) float32."""
         variance = self.noise.variance_of(image, noise_variance)
-        likelihood = np.zeros((*image.shape[:2], len(labels_px)), np.float32)
+        likelihood = np.zeros((*(n // BLOCK_PX for n in image.shape[:2]), len(labels_px)), np.float32)
         for space, label_map in zip(self.spaces, self.label_maps, strict=True):
             views = filtered_views(image, space, config=self.views, noise_variance=variance)
             score = self.run.correlate(views, layers_px, config=self.config.correlation)
             view_count = len(space.rows)
             evidence = log_likelihood(score, view_count=view_count)
             factors = view_count - 1  # see `log_likelihood`: three views square theirs
-            likelihood += self.run.read_at_labels(evidence, layers_px, labels_px, label_map, factors=factors)
+            for first in range(0, len(likelihood), _ROWS):
+                rows = np.arange(first * BLOCK_PX, min(first + _ROWS, len(likelihood)) * BLOCK_PX)
+                of_rows = label_map.at(rows, np.arange(image.shape[1]))
+                nats = self.run.read_at_labels(evidence[rows], layers_px, labels_px, of_rows, factors=factors)
+                likelihood[first : first + _ROWS] += block_means(nats)
         return likelihood / len(self.spaces)  # the mean keeps the scale of the penalties
 
 

@@ -26,6 +26,7 @@ import cv2
 import numpy as np
 from scipy.special import logsumexp
 
+from chromaperture.matching.blocks import block_means, block_middles
 from chromaperture.matching.evidence.blur import BlurEvidence
 from chromaperture.matching.evidence.half_pixels import (
     HalvesModel,
@@ -36,7 +37,7 @@ from chromaperture.matching.evidence.half_pixels import (
 )
 from chromaperture.matching.evidence.spectral_model import SpectralModel, Windows
 from chromaperture.matching.labels import LabelMap
-from chromaperture.matching.readable.paths import lagrange_weights
+from chromaperture.matching.readable.paths import between_samples, lagrange_weights
 from chromaperture.matching.readable.tiles import without_shading
 from chromaperture.matching.result import NoiseModel
 from chromaperture.settings.stages import CrossFilterConfig, SpectralConfig
@@ -69,7 +70,10 @@ class SpectralEvidence:
         *,
         noise_variance: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return nats a pixel; (H, W, N) float32. Without known noise the pairs alone: faint detail would be noise."""
+        """Return nats a pixel in blocks; (H // 4, W // 4, N) float32.
+
+        Without known noise those of the pairs alone: faint detail would be noise.
+        """
         variance = self.pairs.known_variance(image, noise_variance)
 
         def of_pairs() -> np.ndarray:
@@ -77,23 +81,30 @@ class SpectralEvidence:
             own = self.own_detail(image, variance)
             return likelihood if own is None else np.multiply(likelihood, own[..., None], out=likelihood)
 
+        def of_windows() -> np.ndarray:
+            at_windows = self.of_windows(image, layers_px, labels_px, variance)
+            for axis in (0, 1):
+                at_blocks = block_middles(image.shape[axis]) / self.config.stride_px
+                at_windows = between_samples(at_windows, at_blocks, axis=axis)
+            return at_windows
+
         # Side by side: what either does on one core the other fills up. The calling thread takes the first, which takes
         # longer; other threads help it when they have done the second.
-        both = [of_pairs, lambda: self.of_windows(image, layers_px, labels_px, variance)]
+        both = [of_pairs, of_windows]
         likelihood, *more = parallel_map(lambda work: work(), both[: 1 + self.is_used(layers_px)])
-        for at_windows in more:
-            _add_enlarged(at_windows, self.config.stride_px, likelihood)
+        for at_blocks in more:
+            likelihood += at_blocks
         return likelihood
 
     def own_detail(self, image: np.ndarray, noise_variance: np.ndarray | None = None) -> np.ndarray | None:
-        """Return how much of the pairs' evidence is a pixel's own; (H, W) float32, None where all of it counts."""
+        """Return how much of the pairs' evidence is a block's own; (h, w) float32, None where all of it counts."""
         pairs = self.pairs
         if not pairs.config.own_detail:
             return None
         variance = pairs.known_variance(image, noise_variance)
         finite = np.where(np.isfinite(image), image, np.float32(0))
         channels = tuple(sorted({k for pair in pairs.blur.pairs for k in pair}))
-        return own_detail(finite, variance, channels, pairs.config)
+        return block_means(own_detail(finite, variance, channels, pairs.config))
 
     def is_used(self, layers_px: np.ndarray) -> bool:
         """Whether all channels together count beside their pairs."""
@@ -192,7 +203,7 @@ def _at_labels(
     columns: np.ndarray,
 ) -> np.ndarray:
     """Interpolate windows' log-likelihoods at labels, by a polynomial through six layers; the ends hold beyond them."""
-    maps = label_map if label_map.is_identity else LabelMap(*(part[np.ix_(rows, columns)] for part in label_map))
+    maps = label_map.at(rows, columns)
     disparity = maps.offset_px[..., None] + maps.scale[..., None] * labels_px
     place = np.clip((disparity - layers_px[0]) / (layers_px[1] - layers_px[0]), 0, len(layers_px) - 1)
     place = np.broadcast_to(place, (*volume.shape[:2], len(labels_px)))
@@ -214,30 +225,6 @@ def _tempered(log_likelihood: np.ndarray, config: SpectralConfig) -> np.ndarray:
     below_best = log_likelihood - log_likelihood.max(axis=2, keepdims=True)
     earned = config.cap_nats * np.exp(config.gain / config.cap_nats * below_best)
     return np.asarray(earned - earned.min(axis=2, keepdims=True), np.float32)
-
-
-def _add_enlarged(at_windows: np.ndarray, stride: int, likelihood: np.ndarray) -> None:
-    """Add windows' evidence to every pixel's, bilinearly; beyond the last window it holds."""
-
-    def between(count: int, windows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        first = np.minimum(np.arange(count) // stride, windows - 1)
-        part = np.where(first < windows - 1, np.arange(count) % stride / stride, 0).astype(np.float32)
-        return first, np.minimum(first + 1, windows - 1), part
-
-    height, width = likelihood.shape[:2]
-    first, second, part = between(width, at_windows.shape[1])
-    upper, lower, share = between(height, at_windows.shape[0])
-
-    def add(window: int) -> None:
-        rows = slice(window * stride, min((window + 1) * stride, height) if window < len(at_windows) - 1 else height)
-        above, below = (
-            at_windows[k, first] * (1 - part[:, None]) + at_windows[k, second] * part[:, None]
-            for k in (upper[rows.start], lower[rows.start])
-        )
-        for row in range(rows.start, rows.stop):
-            likelihood[row] += above * (1 - share[row]) + below * share[row]
-
-    parallel_map(add, range(len(at_windows)))
 
 
 OWN_SIGMA_PX = 1.5  # of the narrow window: 2.7 times narrower than that of the correlation; chosen by hand

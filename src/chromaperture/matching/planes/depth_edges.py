@@ -12,7 +12,8 @@ from importlib import resources
 import cv2
 import numpy as np
 
-BLOCK_PX = 4  # side of the blocks between which edges are found
+from chromaperture.matching.blocks import BLOCK_PX
+
 STRIDE = 4  # of the network's coarsest level, blocks
 LEAST_BLOCKS = 32  # along either side: of fewer than 8 OpenCV 5.0 reads memory that nothing was written to
 MODEL = resources.files("chromaperture.matching.planes") / "depth_edges.onnx"

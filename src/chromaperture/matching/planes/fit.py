@@ -13,7 +13,7 @@ from chromaperture.system.threads import parallel_map
 TRIALS = 80  # of random samples: a plane on a quarter of a tile is missed once in 3.5 tiles; larger tiles see it too
 INLIER_LABELS = 1.5  # half a label's own place, and the slopes that a surface of steps hides; chosen by hand
 DRAW_BITS = 16  # of a random number: with the number of a tile's points below 32
-LEAST_LEFT = 60  # points in which a plane is looked for; chosen by hand
+LEAST_LEFT = 16  # points in which a plane is looked for; chosen by hand
 LEAST_SHARE = 0.12  # of a tile; chosen by hand
 SAMPLES_ACROSS = 32  # points of a tile along each side
 PLANES_OF_A_TILE = 2
@@ -21,16 +21,7 @@ MOST_PLANES = 512  # that blocks choose from, those of large tiles first; of 720
 DISTINCT_LABELS = 0.7  # by which planes differ somewhere on their tile; chosen by hand
 ROUNDS = 4  # of least squares on the inliers
 
-Pixels = tuple[np.ndarray, np.ndarray]  # y and x
-
-
-def blocks_of_pixels(shape: tuple[int, ...], blocks: tuple[int, ...], size: int) -> Pixels:
-    """Return the row (H,) and the column (W,) of blocks of ``size`` px that rows and columns of pixels are in.
-
-    What is left over at the right and below belongs to the last block.
-    """
-    rows, columns = (np.minimum(np.arange(n) // size, m - 1) for n, m in zip(shape, blocks, strict=True))
-    return rows, columns
+Points = tuple[np.ndarray, np.ndarray]  # y and x
 
 
 class Proposal(NamedTuple):
@@ -39,22 +30,22 @@ class Proposal(NamedTuple):
     plane: np.ndarray
     x: float
     y: float
-    size_px: int
+    size: int
 
 
-def plane_proposals(label: np.ndarray, sigma: np.ndarray, tiles_px: tuple[int, ...], *, run: Execution) -> np.ndarray:
+def plane_proposals(label: np.ndarray, sigma: np.ndarray, sizes: tuple[int, ...], *, run: Execution) -> np.ndarray:
     """Fit planes to tiles of several sizes of a first surface, without those that agree with one of a larger tile.
 
-    ``label``, ``sigma`` (H, W) float, labels: without NaN, and its standard deviation. Returns (K, 3) float64: ``label
-    = a x + b y + c`` of pixels.
+    ``label``, ``sigma`` (h, w) float, labels of blocks: without NaN, and its standard deviation; ``sizes``: blocks.
+    Returns (K, 3) float64: ``label = a x + b y + c``.
     """
     weight = 1 / (np.square(sigma, dtype=float) + 0.5**2)
-    tiles = tiles_of(label.shape, tiles_px)
+    tiles = tiles_of(label.shape, sizes)
 
     def of_tile(i: int) -> list[Proposal]:
         y, x = tiles[i].points
         return [
-            Proposal(plane, x[inliers].mean(), y[inliers].mean(), tiles[i].size_px)
+            Proposal(plane, x[inliers].mean(), y[inliers].mean(), tiles[i].size)
             for inliers, plane in _planes_of_points(x, y, label[y, x], weight[y, x], draws_of(i), run)
         ]
 
@@ -62,9 +53,9 @@ def plane_proposals(label: np.ndarray, sigma: np.ndarray, tiles_px: tuple[int, .
 
 
 class Tile(NamedTuple):
-    """Points on a grid over a square: every so manyth of so many rows and columns."""
+    """Blocks on a grid over a square: every so manyth of so many rows and columns."""
 
-    size_px: int
+    size: int
     top: int
     left: int
     rows: int
@@ -72,18 +63,18 @@ class Tile(NamedTuple):
     every: int
 
     @property
-    def points(self) -> Pixels:
+    def points(self) -> Points:
         """Row after row; (P,) int each."""
         y, x = np.mgrid[: self.rows, : self.columns] * self.every
         return (self.top + y).ravel(), (self.left + x).ravel()
 
 
-def tiles_of(shape: tuple[int, int], tiles_px: tuple[int, ...]) -> list[Tile]:
-    """Return the squares of several sizes that cover a picture."""
+def tiles_of(shape: tuple[int, int], sizes: tuple[int, ...]) -> list[Tile]:
+    """Return the squares of several sizes, in blocks, that cover a picture."""
     height, width = shape
     out = []
-    for size in tiles_px:
-        every = max(1, size // SAMPLES_ACROSS)
+    for size in sizes:
+        every = -(-size // SAMPLES_ACROSS)
         for top in range(0, max(1, height - size // 2), size):
             for left in range(0, max(1, width - size // 2), size):
                 rows, columns = (-(-min(n - start, size) // every) for n, start in ((height, top), (width, left)))
@@ -106,7 +97,7 @@ def distinct(found: list[Proposal]) -> np.ndarray:
     """Drop planes that agree with a larger one all over the square on which they were found; (K, 3)."""
     kept = np.empty((len(found), 3))
     count = 0
-    for plane, x, y, size in sorted(found, key=lambda proposal: -proposal.size_px):
+    for plane, x, y, size in sorted(found, key=lambda proposal: -proposal.size):
         corners = np.array([[x + i * size / 2, y + j * size / 2, 1] for i in (-1, 1) for j in (-1, 1)] + [[x, y, 1]])
         gaps = np.abs((plane - kept[:count]) @ corners.T).max(axis=1)
         if (gaps > DISTINCT_LABELS).all():

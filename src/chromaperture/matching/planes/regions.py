@@ -21,8 +21,9 @@ import cv2
 import numpy as np
 from scipy import ndimage, sparse
 
+from chromaperture.matching.blocks import BLOCK_PX
 from chromaperture.matching.execution import Execution
-from chromaperture.matching.planes.depth_edges import BLOCK_PX, strongest_links
+from chromaperture.matching.planes.depth_edges import strongest_links
 from chromaperture.matching.readable.joining import summed_pairs
 from chromaperture.matching.readable.planes import PlaneCosts
 from chromaperture.settings.stages import PlanesConfig
@@ -54,11 +55,11 @@ def planes_of_regions(
 ) -> Regions:
     """Let regions between depth edges choose planes, level ones of every label among them, and join.
 
-    ``nats`` (h, w, N) float32: sums of the evidence of blocks; ``planes`` (K, 3) float: ``label = a x + b y + c`` of
-    pixels, labels from 0 on; ``log_odds`` (2, h, w) float: as `edge_log_odds`, of the same blocks.
+    ``nats`` (h, w, N) float32: sums of the evidence of blocks; ``planes`` (K, 3) float: ``label = a x + b y + c``,
+    labels from 0 on; ``log_odds`` (2, h, w) float: as `edge_log_odds`, of the same blocks.
     """
     labels = np.arange(nats.shape[2], dtype=float)
-    every = np.concatenate([of_blocks(planes), np.stack([0 * labels, 0 * labels, labels], axis=1)])
+    every = np.concatenate([planes, np.stack([0 * labels, 0 * labels, labels], axis=1)])
     region = regions_between_edges(log_odds)
     costs = PlaneCosts(config.slope_penalty, config.outside_penalty * BLOCK_PX**2)
     cost = run.plane_costs(nats, every, labels, costs)
@@ -72,12 +73,6 @@ def planes_of_regions(
     a, b, c = every[total[left].argmin(axis=1)].T[:, joined]
     label = a * np.arange(joined.shape[1]) + b * np.arange(joined.shape[0])[:, None] + c
     return Regions(joined, np.clip(label, 0, len(labels) - 1))
-
-
-def of_blocks(planes: np.ndarray) -> np.ndarray:
-    """Express planes of pixels in the coordinates of blocks, whose middles are whole numbers; (K, 3)."""
-    a, b, c = planes.T
-    return np.stack([a * BLOCK_PX, b * BLOCK_PX, c + (a + b) * (BLOCK_PX - 1) / 2], axis=1)
 
 
 def regions_between_edges(log_odds: np.ndarray) -> np.ndarray:

@@ -65,7 +65,10 @@ def thin_plate(nats: np.ndarray, start: np.ndarray, log_odds: np.ndarray, *, con
         weight = np.where(np.abs(step) < _LONGEST_STEP, curvature, np.abs(slope) / _LONGEST_STEP)
         weight = np.maximum(weight, _LEAST_CURVATURE)
         matrix = sparse.diags_array(weight.ravel()) + sum(term.stiffness(label.ravel()) for term in terms)
-        solver = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0, options={"SymmetricMode": True})
+        solver = splu(
+            matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0, panel_size=4,
+            options={"SymmetricMode": True},
+        )  # fmt: skip
         found = solver.solve((weight * (label + step)).ravel()).reshape(label.shape)
         label = np.clip(found, 0, nats.shape[2] - 1)
     return label

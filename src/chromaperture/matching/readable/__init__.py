@@ -7,6 +7,7 @@ from chromaperture.matching.readable.cross_filter import cross_filter
 from chromaperture.matching.readable.enlarge import enlarge
 from chromaperture.matching.readable.four_paths import four_path_winner
 from chromaperture.matching.readable.joining import join_regions
+from chromaperture.matching.readable.pair_evidence import pair_evidence
 from chromaperture.matching.readable.paths import aggregate_paths, posterior, read_at_labels
 from chromaperture.matching.readable.place import halved_surface, place_by_correlation
 from chromaperture.matching.readable.planes import agreed_plane, plane_costs
@@ -27,6 +28,7 @@ __all__ = [
     "four_path_winner",
     "halved_surface",
     "join_regions",
+    "pair_evidence",
     "place_by_correlation",
     "plane_costs",
     "point_transforms",

@@ -17,7 +17,7 @@ TANGENTS = 2  # iterations; chosen by hand
 
 
 def between_layers(
-    disparity_px: np.ndarray, likelihood: np.ndarray, layers_px: np.ndarray, *, sigma_px: float
+    disparity_px: np.ndarray, likelihood: np.ndarray, layers_px: np.ndarray, *, sigma: float
 ) -> np.ndarray:
     """Move a map from its nearest layers to the most likely place about them, half a layer at most.
 
@@ -26,7 +26,7 @@ def between_layers(
     at ``o = -sum(a / s) / sum(2 b / s)``.
 
     ``disparity_px`` (H, W) float, px: no NaN; ``likelihood`` (H, W, D) float, nats a pixel; ``layers_px`` (D,) float,
-    px; ``sigma_px``: of the Gaussian window. Returns (H, W) float32, px.
+    px; ``sigma``: of the Gaussian window, samples of the map. Returns (H, W) float32, px.
     """
     step = float(layers_px[1] - layers_px[0])
     nearest = np.clip(np.rint((disparity_px - layers_px[0]) / step).astype(np.intp), 1, len(layers_px) - 2)
@@ -41,10 +41,10 @@ def between_layers(
     offset = np.zeros(slope.shape, np.float32)
     for _ in range(TANGENTS):
         unexplained = np.maximum(1 + offset * (slope + offset * bend), np.float32(LEAST_UNEXPLAINED))
-        pull, stiffness = _averaged(slope / unexplained, sigma_px), _averaged(2 * bend / unexplained, sigma_px)
+        pull, stiffness = _averaged(slope / unexplained, sigma), _averaged(2 * bend / unexplained, sigma)
         offset = np.clip(-pull / np.maximum(stiffness, np.float32(1e-9)), -0.5, 0.5)
     return np.asarray(layers_px[0] + step * (nearest + offset), np.float32)
 
 
-def _averaged(picture: np.ndarray, sigma_px: float) -> np.ndarray:
-    return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma_px, borderType=cv2.BORDER_REFLECT_101))
+def _averaged(picture: np.ndarray, sigma: float) -> np.ndarray:
+    return np.asarray(cv2.GaussianBlur(picture, (0, 0), sigma, borderType=cv2.BORDER_REFLECT_101))

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from chromaperture.matching.blocks import BLOCK_PX
 from chromaperture.matching.labels import LabelMap
 from chromaperture.settings.stages import SurfaceConfig
 
@@ -59,9 +60,18 @@ class Posterior(NamedTuple):
 
 
 def penalties_of(config: SurfaceConfig, layers_px: np.ndarray) -> PathPenalties:
-    """Return the penalties between layers of a distance; nats."""
-    step_px = float(layers_px[1] - layers_px[0])
-    return PathPenalties(config.slope_penalty * step_px, config.jump_penalty, config.edge_range, config.edge_floor)
+    """Return the penalties between layers of a distance.
+
+    A step along a path leads from block to block, past `BLOCK_PX` pixels of one log-likelihood; costs are nats over
+    that number, so that the volume is in nats a pixel.
+    """
+    slope, jump = (nats / BLOCK_PX for nats in (config.slope_penalty, config.jump_penalty))
+    return PathPenalties(slope * float(layers_px[1] - layers_px[0]), jump, config.edge_range, config.edge_floor)
+
+
+def path_temperature(config: SurfaceConfig) -> float:
+    """Return the temperature of the sum of all paths' costs, in their unit."""
+    return config.temperature * config.paths / BLOCK_PX
 
 
 def aggregate_paths(
@@ -140,28 +150,27 @@ def read_at_labels(
     label_map: LabelMap,
     *,
     factors: float = 1.0,
-    shape: tuple[int, ...] | None = None,
-    spacing_px: int = 1,
+    places: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
-    """Interpolate a volume of log-likelihoods at the labels and the pixels of a map.
+    """Interpolate a volume of log-likelihoods at the labels of a map, and between its samples.
 
-    Between layers by a polynomial through six of them, then between pixels linearly: a map varies so little from sample
-    to sample that the other order gives the same, for as many polynomials as pixels. Both go through the unexplained
+    Between layers by a polynomial through six of them, then between samples linearly: a map varies so little from
+    sample to sample that the other order gives the same, for fewer polynomials. Both go through the unexplained
     fraction, exp(-2 l / factors): near a match that is a parabola, while l has a cusp there, and surfaces would be
     biased to whatever layers l itself is interpolated between.
 
     Parameters
     ----------
     likelihood : (h, w, D) float, nats a pixel
-        At the disparities ``layers_px`` and the pixels 0, ``spacing_px``, 2 ``spacing_px``, ...
+        At the disparities ``layers_px``.
     layers_px : (D,) float, px
     labels_px : (N,) float, px
     label_map : LabelMap
+        Of the samples.
     factors : float
         How many fractions are multiplied in exp(-2 l), such as one for every band of frequencies.
-    shape : (int, int)
-        Pixels (H, W) of the map; those of the volume when absent.
-    spacing_px : int
+    places : (H,) float, (W,) float
+        Rows and columns that are read, in samples, ascending; the last sample holds beyond it. The samples when absent.
 
     Returns
     -------
@@ -172,11 +181,7 @@ def read_at_labels(
     before, after = (2 * unexplained[..., end] - unexplained[..., next_] for end, next_ in ((0, 1), (-1, -2)))
     ends = [2 * before - unexplained[..., 0], before, after, 2 * after - unexplained[..., -1]]
     wide = np.concatenate([np.stack(ends[:2], -1), unexplained, np.stack(ends[2:], -1)], axis=2)
-    shape = shape or likelihood.shape[:2]
-    rows, columns = (
-        np.minimum(spacing_px * np.arange(n), m - 1) for n, m in zip(likelihood.shape, shape, strict=False)
-    )
-    offset, scale = (np.broadcast_to(part, shape)[np.ix_(rows, columns)][..., None] for part in label_map)
+    offset, scale = (part[..., None] for part in label_map)
     place = (offset + scale * labels_px - layers_px[0]) / (layers_px[1] - layers_px[0])
     below = np.clip(np.floor(place).astype(np.intp), 0, len(layers_px) - 2)
     weights = lagrange_weights(place - below)
@@ -185,18 +190,19 @@ def read_at_labels(
     value = np.maximum(value, LEAST_UNEXPLAINED * np.minimum(taps[2], taps[3]))
     inside = (place > -EDGE_LAYERS) & (place < len(layers_px) - 1 + EDGE_LAYERS)
     value = np.where(inside, value, 1)
-    for axis, count in enumerate(shape):
-        value = _between_samples(value, count, spacing_px, axis=axis)
+    for axis, place in enumerate(places or ()):
+        value = between_samples(value, place, axis=axis)
     return np.maximum(-factors / 2 * np.log(value), 0).astype(np.float32)
 
 
-def _between_samples(volume: np.ndarray, count: int, spacing_px: int, *, axis: int) -> np.ndarray:
-    """Interpolate linearly along an axis at ``count`` pixels; those beyond the last sample have its value."""
-    place = np.minimum(np.arange(count) / spacing_px, volume.shape[axis] - 1)
-    below = np.floor(place).astype(np.intp)
+def between_samples(volume: np.ndarray, place: np.ndarray, *, axis: int) -> np.ndarray:
+    """Interpolate a volume linearly at places along an axis, in samples; the last sample holds beyond it."""
+    place = np.minimum(place, volume.shape[axis] - 1)
+    below = place.astype(np.intp)
     above = np.minimum(below + 1, volume.shape[axis] - 1)
-    weight = np.expand_dims(place - below, [other for other in range(3) if other != axis])
-    return np.asarray((1 - weight) * volume.take(below, axis) + weight * volume.take(above, axis))
+    weight = np.expand_dims(place - below, [other for other in range(3) if other != axis]).astype(volume.dtype)
+    first = volume.take(below, axis)
+    return np.asarray(first + weight * (volume.take(above, axis) - first))
 
 
 def lagrange_weights(t: np.ndarray) -> list[np.ndarray]:

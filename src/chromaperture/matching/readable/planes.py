@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 NEAR = 1.5  # tolerances, within which points are fitted
-LEAST_POINTS = 30  # of a plane; chosen by hand
-LEAST_AREA = 50  # px^2, twice that of a triangle: no sliver
+LEAST_POINTS = 8  # of a plane; chosen by hand
+LEAST_AREA = 4  # twice that of a triangle: no sliver
 
 
 class PlaneCosts(NamedTuple):

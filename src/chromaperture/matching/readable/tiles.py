@@ -1,8 +1,7 @@
 """A photograph cut into tiles in which its blur is assumed constant, without the frequencies that are noise.
 
-Tiles are sampled every `SAMPLING_PX`: finer detail than a third of a cycle a px is left out. It tells little of depth,
-because blur and noise hide it first, and it costs most of the time. On four ray-traced scenes the fractions within 2 %
-and 5 % are .815 and .872 with all detail and layers, .818 and .873 without (cy_halves).
+Tiles are sampled every `SAMPLING_PX`: finer detail than a quarter of a cycle a px is left out. It tells little of
+depth, because blur and noise hide it first, and it costs most of the time (docs/decisions.md, *Time of `accurate`*).
 
 Without a compiled twin: it is FFTs of SciPy and filters of OpenCV.
 """
@@ -21,7 +20,7 @@ from chromaperture.optics.lens_blur import low_frequencies
 from chromaperture.system.threads import parallel_map
 
 BACKGROUND_PX = 30.0  # smoother parts are shading: no period fits into a tile, only its border effects; chosen by hand
-SAMPLING_PX = 1.5  # distance of two samples of a tile
+SAMPLING_PX = 2.0  # distance of two samples of a tile
 LAG_PX = 8.0  # of the lag window: it resolves spectra to 1 / (2 pi 8) = a fiftieth of a cycle a px
 # Of the nodes, along the width: a surface of focus that is curved by 2.5 px of blur errs by 0.02 px between them
 # (docs/equations.md, "Layers and fields").
