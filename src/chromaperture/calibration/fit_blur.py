@@ -173,10 +173,10 @@ def _pair_residual(filtered: np.ndarray, transfer: np.ndarray, pair: tuple[int, 
     """
     (a, b, weight), size = pair, filtered.shape[1]
     core = slice((size - _CORE_PX) // 2, (size + _CORE_PX) // 2)
-    both = np.empty((1, size, size, 2), np.float32)
+    both = np.empty((1, size, 2 * size), np.float32)
     spectra, transfers = filtered[None].view(np.float32), transfer.view(np.float32)
     spectra_of_both(spectra, transfers, np.array([[a, b]]), _LEAST_POWER, np.float32(1 / size**2), both)
-    one, other = cv2.split(cv2.dft(both[0], flags=cv2.DFT_INVERSE)[core, core])
+    one, other = cv2.split(cv2.dft(both.reshape(size, size, 2), flags=cv2.DFT_INVERSE)[core, core])
     gain_one, gain_other = (math.sqrt(weight) / (cv2.norm(view) + 1e-12) for view in (one, other))
     return np.asarray(cv2.addWeighted(one, gain_one, other, -gain_other, 0))
 

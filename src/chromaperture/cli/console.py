@@ -18,12 +18,14 @@ from rich.progress import (
     MofNCompleteColumn,
     Progress,
     SpinnerColumn,
+    Task,
     TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
 from rich.table import Table
+from rich.text import Text
 
 from chromaperture.system.errors import CaptureWarning
 
@@ -35,6 +37,7 @@ Update = Callable[[str, int, int], None]  # what is being done, how many are don
 
 LINE_EVERY_S = 2.0  # between two lines of progress, where there is no terminal; chosen by hand
 SAME_AFTER = 2.5  # times as long between two lines that say the same; chosen by hand
+_FEW = 50  # parts: as kernels, the slowest of which take fifty times as long as the quickest
 _SPEED_OVER_S = 600.0  # the remaining time follows the last so many seconds: one photograph may take minutes
 # Of quality accurate, a camera's first photograph in a program: 2.7 to 3.6 s for 720x480 px on two cores (chromaperture
 # demo). Later ones take 2.3 s (benchmarks/speed.py accurate).
@@ -91,12 +94,18 @@ def progress(*, quiet: bool) -> Iterator[Update]:
             yield update
 
 
+class _TimeLeft(TimeRemainingColumn):
+    def render(self, task: Task) -> Text:
+        known = _can_estimate(task.completed, task.total)
+        return super().render(task) if known else Text("-:--:--", style="progress.remaining")
+
+
 @contextlib.contextmanager
 def _bar() -> Iterator[Update]:
     """Show a bar for the present step: elapsed and remaining time are the step's."""
     columns = (
         SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-        TextColumn("left"), TimeRemainingColumn(),
+        TextColumn("left"), _TimeLeft(),
     )  # fmt: skip
     with Progress(*columns, console=err, transient=True, speed_estimate_period=_SPEED_OVER_S) as bar:
         shown: TaskID | None = None
@@ -131,7 +140,8 @@ def _lines(every_s: float) -> Iterator[Update]:
                 if state[1] < first[0] or state[2] != first[1]:
                     first = (*state[1:], now)
                 minutes, seconds = divmod(int(now - began), 60)
-                left = _remaining(state[1] - first[0], state[2] - state[1], now - first[2])
+                counted = state[1] - first[0] if _can_estimate(*state[1:]) else 0
+                left = _remaining(counted, state[2] - state[1], now - first[2])
                 print(f"[{minutes}:{seconds:02d}] {_line(*state)}{left}", file=sys.stderr, flush=True)
 
     def update(what: str, done: int, total: int) -> None:
@@ -149,6 +159,11 @@ def _lines(every_s: float) -> Iterator[Update]:
     finally:
         ended.set()
         thread.join()
+
+
+def _can_estimate(done: float, total: float | None) -> bool:
+    """Whether the remaining time is known: of few parts, of which some take much longer, once a third is done."""
+    return 3 * done >= (total or 0) or (total or 0) > _FEW
 
 
 def _remaining(done: int, left: int, seconds: float) -> str:
@@ -186,14 +201,9 @@ def after_compilation(update: Update, *qualities: str, quiet: bool) -> Update:
 def _compile(update: Update, *qualities: str, quiet: bool) -> None:
     from chromaperture.system.compile_ahead import compile_ahead
 
-    waiting = [not quiet]
-
     def show(what: str, done: int, total: int) -> None:
-        if waiting.pop():
-            err.print(
-                "Compiling the matcher once for this machine (10 to 20 s); later runs start at once.", soft_wrap=True
-            )
-        waiting.append(False)
+        if done == 0 and not quiet:
+            err.print(f"Compiling {total} kernels once for this machine; later runs start at once.", soft_wrap=True)
         update(what, done, total)
 
     compile_ahead(*qualities, update=show)

@@ -7,7 +7,7 @@ import re
 import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -23,10 +23,19 @@ if TYPE_CHECKING:
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")]
 Anyway = Annotated[bool, typer.Option("--anyway", help="Measure even through a film that is not the camera's.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
-Camera = Annotated[Path, typer.Option("--camera", "-c", help="Camera file.", metavar="CAMERA.asdf")]
+
+
+def _may_be_camera(path: Path | None) -> Path | None:
+    """Refuse what is no camera file, before the libraries that read one are loaded."""
+    from chromaperture.model.file_kind import camera_file_at
+
+    return None if path is None else camera_file_at(path)
+
+
+_FILE: dict[str, Any] = {"metavar": "CAMERA.asdf", "callback": _may_be_camera}
+Camera = Annotated[Path, typer.Option("--camera", "-c", help="Camera file.", **_FILE)]
 CameraOrDesign = Annotated[
-    Path | None,
-    typer.Option("--camera", "-c", help="Camera file from 'chromaperture calibrate'.", metavar="CAMERA.asdf"),
+    Path | None, typer.Option("--camera", "-c", help="Camera file from 'chromaperture calibrate'.", **_FILE)
 ]
 
 

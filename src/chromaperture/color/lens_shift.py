@@ -16,7 +16,6 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from chromaperture.optics.lens_blur import ChannelRays, LensBlur, traced, transfer_at
 from chromaperture.system.compilation import compiled
@@ -126,6 +125,8 @@ def least_fringes(rays: list[ChannelRays]) -> np.ndarray:
 
 def _refined(coarse: np.ndarray) -> np.ndarray:
     """Refine the first two axes by cubic splines."""
+    from scipy.interpolate import make_interp_spline  # here: it loads scipy.optimize, which takes 0.15 s
+
     for axis in (0, 1):
         nodes = np.arange(coarse.shape[axis])
         fine = np.linspace(0, nodes[-1], _REFINEMENT * nodes[-1] + 1)

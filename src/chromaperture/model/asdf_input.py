@@ -14,7 +14,6 @@ import asdf
 import yaml
 from asdf.exceptions import AsdfPackageVersionWarning
 
-from chromaperture.system.errors import InputError
 from chromaperture.system.validation import read_bytes
 
 # Three qualities of two maps each, on a grid of every sixth pixel of 100 megapixels, take 67 MB.
@@ -35,14 +34,12 @@ _LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 def read_tree(path: str | Path) -> dict[str, Any]:
     """Read the tree of an ASDF file of plain values and float arrays.
 
-    Raises InputError: the file cannot be read, is too large, or of another kind. Raises ValueError, yaml.YAMLError: it
+    Raises InputError: the file cannot be read, or is too large. Raises ValueError, yaml.YAMLError: it
     is damaged, or holds what a camera file has no use for: references to other files, other tags, compressed or
     streamed blocks, arrays whose size is not that of their block.
     """
     data = read_bytes(path, most_bytes=_MOST_BYTES)
     end = _END_OF_TREE.search(data, 0, _MOST_TREE_BYTES)
-    if data and not data.startswith(b"#ASDF"):
-        raise InputError(f"{Path(path).name} is no camera file; give the .asdf that 'chromaperture calibrate' wrote")
     if not data.startswith(b"#ASDF 1.") or end is None:
         raise ValueError(f"no ASDF tree in the first {_MOST_TREE_BYTES} bytes")
     sizes, last = _block_sizes(data, end.end())

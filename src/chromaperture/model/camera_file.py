@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -22,6 +21,7 @@ from chromaperture.depth.conversion import DepthModel, PaperParameters, depth_to
 from chromaperture.depth.field import DepthField, field_from_tree, field_to_tree, plain
 from chromaperture.model.asdf_input import read_tree
 from chromaperture.model.camera_parts import Board, CameraPart, CameraSensor, Film, Lens, stored_as
+from chromaperture.model.file_kind import camera_file_at
 from chromaperture.optics.aperture import Aperture, design_named
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.pinhole import centered_pinhole
@@ -302,10 +302,7 @@ class Calibration(CameraPart):
         InputError
             The file is missing, damaged, not a camera file, or of a newer format.
         """
-        path = Path(path)
-        if not os.path.lexists(path):
-            name = quoted(path)
-            raise InputError(f"no camera file at {name}; make one with: chromaperture calibrate SESSION --out {name}")
+        path = camera_file_at(Path(path))
         try:
             tree = read_tree(path)[_ROOT]
             version = tree["format_version"]

@@ -57,11 +57,6 @@ def _fast_transforms(points_px: np.ndarray, weights: np.ndarray, size: int, out:
 @compiled()
 def splat(points_px, weights, out):  # type: ignore[no-untyped-def]
     """Add weighted points to the four pixels around them, with periodic borders."""
-    _splat(points_px, weights, out)
-
-
-@inlined()
-def _splat(points_px, weights, out):  # type: ignore[no-untyped-def]
     n = out.shape[0]
     for j in range(len(weights)):
         x, y = np.floor(points_px[j, 0]), np.floor(points_px[j, 1])
@@ -76,7 +71,7 @@ def _splat(points_px, weights, out):  # type: ignore[no-untyped-def]
 
 @inlined()
 def _splat_near(points_px, weights, reach, out):  # type: ignore[no-untyped-def]
-    """As `_splat`, for points at most ``reach`` px from the middle of a picture without periodic borders."""
+    """As `splat`, for points at most ``reach`` px from the middle of a picture without periodic borders."""
     width, pixels = out.shape[1], out.reshape(-1)
     for j in range(len(weights)):
         if weights[j] == 0:
@@ -106,7 +101,8 @@ def direct_transforms(points_px, weights, reach, cosines, sines, out):  # type: 
         _splat_near(points_px[c], weights[c], reach, picture)
         for y in range(side):
             _row_transform(picture[y, :side], cosines, sines, lines[y, :kept], lines[y, kept:])
-        parts[0, 0], parts[1, 0] = lines[reach], 0
+        for f in range(2 * kept):  # element by element: assigning a row to a row takes Numba 2 s to compile
+            parts[0, 0, f] = lines[reach, f]
         for r in range(1, reach + 1):
             below, above, even, odd = lines[reach + r], lines[reach - r], parts[0, r], parts[1, r]
             for f in range(2 * kept):

@@ -27,7 +27,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Decorate a kernel that Python calls, with numba's options; it releases the interpreter's lock."""
 
     def decorate(function: Callable[..., Any]) -> Any:
-        kernel = njit(nogil=True, **options)(function)
+        kernel = njit(nogil=True, **options | {"no_cfunc_wrapper": True})(function)
         with contextlib.suppress(RuntimeError):  # no folder can be written to: compile in every process
             kernel._cache = _Cache(function)
         return kernel

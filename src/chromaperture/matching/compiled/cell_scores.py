@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from chromaperture.matching.compiled import simd as v
-from chromaperture.matching.compiled.layout import BLOCK, ONE, SCORE_SCALE, ZERO, whole_vectors
+from chromaperture.matching.compiled.layout import BLOCK, ONE, SCORE_SCALE, START, ZERO, whole_vectors
 from chromaperture.matching.compiled.workspace import Workspace
 from chromaperture.matching.integer_light import whole_taps
 from chromaperture.matching.readable.correlation import (
@@ -311,7 +311,10 @@ def _sum_three(samples, row, ends, sums, ring, used):
 
 @inner
 def _of_row(sums, oldest, series, which, row, x):
-    """Load one of the series of a row of the ring, of which ``oldest`` is the first."""
+    """Load one of the series of a row of the ring, of which ``oldest`` is the first.
+
+    Series and row are ``START`` and what is added: compiled for every pair of literals this takes half of all time.
+    """
     return v.load(sums, (((oldest + row) % _RING) * series + which) * sums.shape[1] + x)
 
 
@@ -321,9 +324,9 @@ def _apart(sums, oldest, series, which, x):
 
     From there they are small, and so exact are their products.
     """
-    r0, r1 = _of_row(sums, oldest, series, which, 0, x), _of_row(sums, oldest, series, which, 1, x)
-    r2, r3 = _of_row(sums, oldest, series, which, 2, x), _of_row(sums, oldest, series, which, 3, x)
-    r4 = _of_row(sums, oldest, series, which, 4, x)
+    r0, r1 = _of_row(sums, oldest, series, which, START, x), _of_row(sums, oldest, series, which, START + 1, x)
+    r2, r3 = _of_row(sums, oldest, series, which, START + 2, x), _of_row(sums, oldest, series, which, START + 3, x)
+    r4 = _of_row(sums, oldest, series, which, START + 4, x)
     total = v.fma(v.broadcast(_TWO), v.add(v.add(r1, r3), r2), v.add(v.add(r0, r4), r2))
     rounder = v.broadcast(_ROUNDER)
     middle = v.sub(v.add(v.mul(v.broadcast(_NINTH), total), rounder), rounder)
@@ -339,10 +342,12 @@ def _joined(sums, oldest, series, a, b, which, x):
     """
     a0, a1, a2, a3, a4, left_a = a
     b0, b1, b2, b3, b4, left_b = b
-    ends = v.add(_of_row(sums, oldest, series, which, 0, x), _of_row(sums, oldest, series, which, 4, x))
-    inside = v.add(_of_row(sums, oldest, series, which, 1, x), _of_row(sums, oldest, series, which, 3, x))
+    ends = v.add(_of_row(sums, oldest, series, which, START, x), _of_row(sums, oldest, series, which, START + 4, x))
+    inside = v.add(
+        _of_row(sums, oldest, series, which, START + 1, x), _of_row(sums, oldest, series, which, START + 3, x)
+    )
     ends, inside = v.fma(a4, b4, v.fma(a0, b0, ends)), v.fma(a3, b3, v.fma(a1, b1, inside))
-    middle = v.fma(a2, b2, _of_row(sums, oldest, series, which, 2, x))
+    middle = v.fma(a2, b2, _of_row(sums, oldest, series, which, START + 2, x))
     value = v.fma(v.broadcast(_TWO), v.add(inside, middle), v.add(ends, middle))
     return v.fnma(left_a, left_b, v.fma(v.broadcast(_EIGHT), value, value))
 
@@ -363,10 +368,10 @@ def _correlation(covariance, one, other):
 def _score_two(sums, oldest, series, floors, used, scores):
     """Correlation of two views for a row of cells."""
     for x in range(0, used, v.LANES):
-        a, b = _apart(sums, oldest, series, 0, x), _apart(sums, oldest, series, 1, x)
-        aa = _raised(_joined(sums, oldest, series, a, a, 2, x), floors[0])
-        bb = _raised(_joined(sums, oldest, series, b, b, 3, x), floors[1])
-        v.store(scores, x, _correlation(_joined(sums, oldest, series, a, b, 4, x), aa, bb))
+        a, b = _apart(sums, oldest, series, START, x), _apart(sums, oldest, series, START + 1, x)
+        aa = _raised(_joined(sums, oldest, series, a, a, START + 2, x), floors[0])
+        bb = _raised(_joined(sums, oldest, series, b, b, START + 3, x), floors[1])
+        v.store(scores, x, _correlation(_joined(sums, oldest, series, a, b, START + 4, x), aa, bb))
 
 
 @inner
@@ -374,14 +379,14 @@ def _score_three(sums, oldest, series, floors, used, scores):
     """1 - sqrt(det) of the correlation matrix of three views for a row of cells."""
     one, nothing = v.broadcast(ONE), v.broadcast(ZERO)
     for x in range(0, used, v.LANES):
-        a, b = _apart(sums, oldest, series, 0, x), _apart(sums, oldest, series, 1, x)
-        c = _apart(sums, oldest, series, 2, x)
-        aa = _raised(_joined(sums, oldest, series, a, a, 3, x), floors[0])
-        bb = _raised(_joined(sums, oldest, series, b, b, 4, x), floors[1])
-        cc = _raised(_joined(sums, oldest, series, c, c, 5, x), floors[2])
-        ab = _correlation(_joined(sums, oldest, series, a, b, 6, x), aa, bb)
-        ac = _correlation(_joined(sums, oldest, series, a, c, 7, x), aa, cc)
-        bc = _correlation(_joined(sums, oldest, series, b, c, 8, x), bb, cc)
+        a, b = _apart(sums, oldest, series, START, x), _apart(sums, oldest, series, START + 1, x)
+        c = _apart(sums, oldest, series, START + 2, x)
+        aa = _raised(_joined(sums, oldest, series, a, a, START + 3, x), floors[0])
+        bb = _raised(_joined(sums, oldest, series, b, b, START + 4, x), floors[1])
+        cc = _raised(_joined(sums, oldest, series, c, c, START + 5, x), floors[2])
+        ab = _correlation(_joined(sums, oldest, series, a, b, START + 6, x), aa, bb)
+        ac = _correlation(_joined(sums, oldest, series, a, c, START + 7, x), aa, cc)
+        bc = _correlation(_joined(sums, oldest, series, b, c, START + 8, x), bb, cc)
         # Of a part that is left, not of sums that cancel: (1 - ab^2) (1 - ac^2) - (bc - ab ac)^2.
         # Not fused: a shader cannot ask for it.
         apart = v.sub(bc, v.mul(ab, ac))

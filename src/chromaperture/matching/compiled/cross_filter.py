@@ -13,7 +13,7 @@ import numpy as np
 from chromaperture.matching.compiled.paths import FAST
 from chromaperture.matching.readable.cross_filter import Tile
 from chromaperture.optics.splat_kernels import point_transforms
-from chromaperture.system.compilation import compiled, inlined
+from chromaperture.system.compilation import compiled
 
 
 def cross_filter(
@@ -34,7 +34,8 @@ def cross_filter(
         # As pairs of floats: loops over these become vectors. OpenCV's own scaling takes a fifth of the time of its
         # transform (160 samples).
         spectra, of_channels = tile.spectra.view(np.float32), transfers.view(np.float32)
-        spectra_of_both(spectra, of_channels, channels, np.float32(damping), np.float32(1 / size**2), both)
+        rows = both.reshape(pairs, size, -1)
+        spectra_of_both(spectra, of_channels, channels, np.float32(damping), np.float32(1 / size**2), rows)
         for spectrum, part in zip(both, canvas, strict=True):
             cv2.dft(spectrum, dst=views, flags=cv2.DFT_INVERSE)
             cv2.accumulateProduct(views[tile.inner, tile.inner], tile.weight, part[tile.place])
@@ -42,32 +43,26 @@ def cross_filter(
 
 @compiled(fastmath=FAST, error_model="numpy")
 def spectra_of_both(spectra, transfers, channels, damping, scale, both):  # type: ignore[no-untyped-def]
-    """Compute the spectra of P + i Q of all pairs, times ``scale``; complex numbers as pairs of floats."""
-    for pair in range(len(channels)):
-        of_a, of_b = transfers[channels[pair, 0]], transfers[channels[pair, 1]]
-        _both(spectra[pair, 0], spectra[pair, 1], of_a, of_b, damping, scale, both[pair].reshape(len(of_a), -1))
-
-
-@inlined(fastmath=FAST, error_model="numpy")
-def _both(view_a, view_b, transfer_a, transfer_b, damping, scale, both):  # type: ignore[no-untyped-def]
-    """Spectrum of P + i Q from halves of spectra, times ``scale``: at -w it is P* + i Q*."""
-    size = both.shape[0]
+    """Compute the spectra of P + i Q of all pairs from halves of spectra, times ``scale``: at -w it is P* + i Q*."""
+    size = both.shape[1]
     columns = size // 2 + 1
     negative = np.empty(2 * columns, np.float32)  # at -w, in the order of w
-    for y in range(size):
-        a, b, of_a, of_b, here = view_a[y], view_b[y], transfer_a[y], transfer_b[y], both[y]
-        for x in range(columns):
-            ha, ia, hb, ib = of_a[2 * x], of_a[2 * x + 1], of_b[2 * x], of_b[2 * x + 1]
-            power = (ha * ha + ia * ia + hb * hb + ib * ib) * np.float32(0.5)
-            gain = scale / np.sqrt(power + damping)
-            ar, ai, br, bi = a[2 * x] * gain, a[2 * x + 1] * gain, b[2 * x] * gain, b[2 * x + 1] * gain
-            p_real, p_imaginary = ar * hb - ai * ib, ar * ib + ai * hb
-            q_real, q_imaginary = br * ha - bi * ia, br * ia + bi * ha
-            here[2 * x] = p_real - q_imaginary
-            here[2 * x + 1] = p_imaginary + q_real
-            negative[2 * x] = p_real + q_imaginary
-            negative[2 * x + 1] = q_real - p_imaginary
-        mirrored, end = both[size - y if y > 0 else 0], 2 * size
-        for x in range(1, size - columns + 1):
-            mirrored[end - 2 * x] = negative[2 * x]
-            mirrored[end - 2 * x + 1] = negative[2 * x + 1]
+    for pair in range(len(channels)):
+        for y in range(size):
+            a, b, here = spectra[pair, 0, y], spectra[pair, 1, y], both[pair, y]
+            of_a, of_b = transfers[channels[pair, 0], y], transfers[channels[pair, 1], y]
+            for x in range(columns):
+                ha, ia, hb, ib = of_a[2 * x], of_a[2 * x + 1], of_b[2 * x], of_b[2 * x + 1]
+                power = (ha * ha + ia * ia + hb * hb + ib * ib) * np.float32(0.5)
+                gain = scale / np.sqrt(power + damping)
+                ar, ai, br, bi = a[2 * x] * gain, a[2 * x + 1] * gain, b[2 * x] * gain, b[2 * x + 1] * gain
+                p_real, p_imaginary = ar * hb - ai * ib, ar * ib + ai * hb
+                q_real, q_imaginary = br * ha - bi * ia, br * ia + bi * ha
+                here[2 * x] = p_real - q_imaginary
+                here[2 * x + 1] = p_imaginary + q_real
+                negative[2 * x] = p_real + q_imaginary
+                negative[2 * x + 1] = q_real - p_imaginary
+            mirrored, end = both[pair, size - y if y > 0 else 0], 2 * size
+            for x in range(1, size - columns + 1):
+                mirrored[end - 2 * x] = negative[2 * x]
+                mirrored[end - 2 * x + 1] = negative[2 * x + 1]

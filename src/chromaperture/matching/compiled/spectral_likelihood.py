@@ -42,13 +42,19 @@ def _windows(parts, powers, node, noise, more, rounds, first, last, out):
     single = np.empty(6, np.float32)
     for m in range(first, last):
         _first_colours(parts[m], powers[node[m], 0], noise[m], colours)
-        single[:] = colours
+        _copy(colours, single)
         for layer in range(powers.shape[1]):
             for _ in range(rounds + FIRST_ROUNDS * (layer == 0)):
                 _gradient(parts[m], powers[node[m], layer], single, noise[m], more, gradient)
                 _step(colours, gradient, count)
-                single[:] = colours
+                _copy(colours, single)
             out[m, layer] = _log_likelihood(parts[m], powers[node[m], layer], single, noise[m], more, determinants)
+
+
+@inlined()
+def _copy(colours, single):
+    for i in range(6):  # element by element: what Numba makes of `single[:] = colours` takes 2 s to compile
+        single[i] = colours[i]
 
 
 @inlined(fastmath=FAST, error_model="numpy")
