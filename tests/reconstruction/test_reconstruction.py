@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from chromaperture.capture.open import open_source
+from chromaperture.cli.reconstruct import _announced
 from chromaperture.products.rectified import View
 from chromaperture.products.samples import sample_camera, sample_image
 from chromaperture.reconstruction.build_model import glb, quaternion, write_mesh_ply
@@ -338,6 +340,32 @@ def test_points_of_uncertain_place_in_the_picture_count_less():
     assert errors[0] < 0.7 * errors[1]
 
 
+def test_parallax_mends_distances_that_are_wrong_alike():
+    v, u = np.indices(SIZE)
+    wrong = np.float32(1) + (0.05 * np.sin(u / 25) * np.cos(v / 25)).astype(np.float32)
+    config = ReconstructionConfig(tracking_scale=1)
+
+    def spoilt(k: float):
+        view = photograph(pose_at(k))
+        return prepare(View(view.color, view.z_mm * wrong, 0.06 * view.z_mm), MATRIX, config)
+
+    truth = photograph(pose_at(0)).z_mm
+    keyframe, blind = (spoilt(0).keyframe(pose_at(0)) for _ in range(2))
+    guess, errors = pose_at(0), []
+    for k in range(1, 13):
+        found, unmended = (track(spoilt(k), key, guess, config=config) for key in (keyframe, blind))
+        keyframe.refine(found.points)
+        errors.append([off_mm(each.pose, pose_at(k)) for each in (found, unmended)])
+        guess = found.pose
+    mended, left = np.mean(errors, axis=0)
+    assert mended < 0.5 * left
+    seen = keyframe.z_mm != blind.z_mm
+    before, after = (np.abs(key.z_mm / truth - 1)[seen] for key in (blind, keyframe))
+    assert np.median(after) < 0.5 * np.median(before)
+    keyframe.set_distances(blind.z_mm)  # the model's distances do not undo it
+    np.testing.assert_array_equal(np.abs(keyframe.z_mm / truth - 1)[seen], after)
+
+
 def test_a_camera_is_found_where_light_has_changed_and_nothing_is_fused():
     first, then = photograph(pose_at(0)), photograph(pose_at(2.0))
     dimmed = View(np.rint(0.7 * then.color + 20).astype(np.uint8), then.z_mm, then.sigma_mm)
@@ -478,6 +506,16 @@ def test_a_camera_that_does_not_move_is_found_where_it_was(run, tmp_path):
     assert report["meshes"][0]["triangles"] > 100
     assert (out / "mesh.ply").stat().st_size > 1000
     assert (out / "mesh.glb").stat().st_size > 1000
+
+
+def test_it_says_what_it_waits_for_and_how_many_frames_there_are(tmp_path):
+    for name in ("0.png", "1.png"):
+        (tmp_path / name).write_bytes(sample_image("still_life_cy_halves").read_bytes())
+    said: list[tuple[str, int, int]] = []
+    with open_source(str(tmp_path), white_level=1016) as source:
+        for frame in _announced(source, lambda *state: said.append(state), source.total):
+            assert said[-1] == (f"measuring and tracking frame {frame.index}", frame.index, 2)
+    assert said[::2] == [("waiting for a frame", done, 2) for done in (0, 1, 2)]
 
 
 @pytest.mark.extra("reconstruct", "open3d")

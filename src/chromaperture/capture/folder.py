@@ -42,6 +42,7 @@ class FolderSource(PictureSource):
         else:
             self.paths = [folder] if os.path.isfile(folder) else _matching(self.name)
         self.paths.sort(key=natural)
+        self.total = len(self.paths)
         if not self.paths:
             if os.path.isfile(folder / HEADER):
                 raise InputError(f"{self.name} is a recording; give replay:{self.name}")

@@ -158,6 +158,7 @@ class ReplaySource(PictureSource):
             except InputError as error:
                 where = f"line {number} of {quoted(self.folder / _INDEX)}"
                 self.report("skipped", f"{where} is damaged, its frame is left out: {error}")
+        self.total = len(self.entries)
         if not self.entries:
             raise InputError(f"the recording at {quoted(self.folder)} holds no frame that can be read")
 

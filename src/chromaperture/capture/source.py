@@ -95,6 +95,7 @@ class FileSource:
     kind = ""
     live = False
     dropped = 0
+    total = 0  # frames, as far as is known before they are read; 0 unknown
 
     @property
     def name(self) -> str:

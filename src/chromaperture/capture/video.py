@@ -54,6 +54,7 @@ class VideoSource(PictureSource):
             # Threads of whole frames work on between calls. PyAV 18.1 frees them under the interpreter's lock, for
             # which they wait to report damage: a clip that is left in mid-way would never close.
             self._clip.streams.video[0].thread_type = "SLICE"
+            self.total = self._clip.streams.video[0].frames
         except (av.FFmpegError, ValueError, IndexError, OSError):
             self.close()
             raise InputError(

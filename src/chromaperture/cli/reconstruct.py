@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.console import compile_kernels, print_files, print_json, progress, say_warning
+from chromaperture.cli.console import Update, compile_kernels, print_files, print_json, progress, say_warning
 from chromaperture.cli.options import (
     Anyway,
     BlackLevel,
@@ -23,6 +24,9 @@ from chromaperture.cli.options import (
     film_checked,
 )
 from chromaperture.system.errors import InputError
+
+if TYPE_CHECKING:
+    from chromaperture.capture.source import Frame
 
 
 def reconstruct(
@@ -69,18 +73,26 @@ def reconstruct(
     compile_kernels(quality, quiet=quiet)
     stream = open_stream(source, calibration=eye.calibration, black_level=black_level, white_level=white_level)
     with stream, progress(quiet=quiet) as update:
-        number = itertools.count(1)
         checked = film_checked(stream, eye, refuse=not anyway)
-        model = build(
-            itertools.islice(checked, frames), eye, config=config, listener=say_warning,
-            progress=lambda p: update(f"frame {p.index}: {p.note or 'tracked'}"[:60], next(number), frames or 0),
-        )  # fmt: skip
-    report, files = write_model(out, model, facts={"source": source, "camera": str(camera), "quality": quality})
+        total = min(filter(None, (frames, getattr(stream, "total", 0))), default=0)
+        announced = _announced(itertools.islice(checked, frames), update, total)
+        model = build(announced, eye, config=config, listener=say_warning)
+        update("writing the model", 0, 1)
+        report, files = write_model(out, model, facts={"source": source, "camera": str(camera), "quality": quality})
     if json:
         print_json(report)
     elif not quiet:
         _print_summary(report)
         print_files(files)
+
+
+def _announced(frames: Iterable[Frame], update: Update, total: int) -> Iterator[Frame]:
+    """Pass frames on, and say what is waited for: the source, or the work on a frame."""
+    update("waiting for a frame", 0, total)
+    for done, frame in enumerate(frames):
+        update(f"measuring and tracking frame {frame.index}", done, total)
+        yield frame
+        update("waiting for a frame", done + 1, total)
 
 
 def _print_summary(report: dict[str, Any]) -> None:

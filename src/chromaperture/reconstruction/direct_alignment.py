@@ -2,6 +2,7 @@
 
 The camera sees a point X of the keyframe at T X. Residuals are the difference of brightness, the camera's minus gain
 times the keyframe's minus offset, and the camera's distance minus that of T X. A step xi updates T <- exp(xi) T.
+What brightness is left at the pose is parallax of points whose distance errs: it refines the distances.
 """
 
 from __future__ import annotations
@@ -29,7 +30,10 @@ _ROUNDS, _CONVERGED_PX = 12, 0.05  # Gauss-Newton steps of a scale; a smaller st
 _START_SIGMA, _MIN_SIGMA = 20.0, 0.5  # grey levels: standard deviation before the first round, and of rounding alone
 # Error of a keyframe's distances, which are the model's, over that of its own view: the mean of some four views. With
 # 1 fast motion errs less and slow motion more, with 0 the reverse (docs/reconstruction.md).
-_MODEL_SHARE = 0.5
+MODEL_SHARE = 0.5
+# Standard deviation of brightness that refines distances over that of the residuals, which are alike in successive
+# frames. With a least sigma of distances instead, they would drift for ever.
+_CORRELATED = 2.0
 _MAX_SLOPE = 0.02  # change of distance per px, of the distance, above which its gradient is that of an edge
 _DAMPING = 1e-4  # added to the diagonal of the normal equations, scaled to 1
 _CONDITION = 1e-7  # least eigenvalue of the scaled normal equations; below, the motion is undetermined
@@ -50,9 +54,10 @@ class Level(NamedTuple):
 
 @dataclass(frozen=True)
 class Alignment:
-    """Motion (4, 4) keyframe to camera in mm, fraction of points visible at their distance, correlation, if solved."""
+    """Motion (4, 4) keyframe to camera in mm, its refined points, fraction visible, correlation, if solved."""
 
     motion: np.ndarray
+    points: np.ndarray | None = None  # of the finest scale, see `refined`
     overlap: float = 0.0
     correlation: float = 0.0
     solved: bool = True
@@ -89,7 +94,7 @@ def select_points(level: Level) -> np.ndarray:
     z = level.z_mm[rows, columns]
     m = level.matrix
     x, y = (columns - m[0, 2]) / m[0, 0] * z, (rows - m[1, 2]) / m[1, 1] * z
-    sigma = _MODEL_SHARE * level.sigma_mm[rows, columns] / z
+    sigma = MODEL_SHARE * level.sigma_mm[rows, columns] / z
     parts = (x, y, z, level.grey[rows, columns], level.grad_x[rows, columns], level.grad_y[rows, columns], sigma)
     return np.ascontiguousarray(np.stack(parts, axis=1), np.float32)
 
@@ -115,7 +120,7 @@ def _align_level(
     """Align at one scale; updates ``brightness`` in place."""
     grey_sigma, distance_mm = _START_SIGMA, float(np.median(cloud[:, 2]))
     for round_ in range(_ROUNDS):
-        sums, residual, matched, close = normal_equations(
+        sums, residual, matched, close, along = normal_equations(
             cloud, level, motion, brightness, grey_sigma, depth_weight, outlier_mm
         )
         visible = np.isfinite(residual)
@@ -134,7 +139,21 @@ def _align_level(
             break
     agrees, differs = int((close == _AGREES).sum()), int((close == _DIFFERS).sum())
     overlap = float(visible.mean()) * agrees / max(agrees + differs, 1)  # points of unknown distance do not count
-    return Alignment(motion, overlap, _correlation(cloud[visible, 3], matched[visible]))
+    points = refined(cloud, residual, along, grey_sigma)
+    return Alignment(motion, points, overlap, _correlation(cloud[visible, 3], matched[visible]))
+
+
+def refined(points: np.ndarray, residual: np.ndarray, along: np.ndarray, grey_sigma: float) -> np.ndarray:
+    """Move points (N, 7) by what their residuals tell of their distances, Kalman's update of one state each.
+
+    ``along`` is the change of a residual for one standard deviation of a point's log distance, 0 where it tells none.
+    """
+    noise = _CORRELATED * grey_sigma
+    total = np.sqrt(along**2 + noise**2)
+    moved = points.copy()
+    moved[:, :3] *= np.exp(-points[:, 6] * along * np.where(along == 0, 0, residual) / total**2)[:, None]
+    moved[:, 6] *= noise / total
+    return moved
 
 
 def _best_rotation(cloud: np.ndarray, level: Level, motion: np.ndarray, outlier_mm: float) -> np.ndarray:
@@ -156,7 +175,7 @@ def _best_rotation(cloud: np.ndarray, level: Level, motion: np.ndarray, outlier_
 def _visible_correlation(cloud: np.ndarray, level: Level, motion: np.ndarray, outlier_mm: float) -> float:
     """Return the correlation of the points' grey with the picture's, reduced where few points are visible."""
     even = np.array([1.0, 0.0])
-    _, residual, matched, _ = normal_equations(cloud, level, motion, even, _START_SIGMA, 0.0, outlier_mm)
+    _, residual, matched, *_ = normal_equations(cloud, level, motion, even, _START_SIGMA, 0.0, outlier_mm)
     visible = np.isfinite(residual)
     if visible.sum() < _MIN_POINTS:
         return 0.0
@@ -211,9 +230,9 @@ def _add(total, j, weight, residual, unknowns):  # type: ignore[no-untyped-def]
 
 @compiled()
 def normal_equations(points, level, motion, brightness, grey_sigma, depth_weight, outlier_mm):  # type: ignore[no-untyped-def]
-    """Linearise the points' residuals: sums (44,), and each one's residual, grey and depth agreement."""
+    """Linearise the points' residuals: sums (44,); each one's residual, grey, depth agreement and `refined`'s along."""
     residual, matched = np.empty(len(points), np.float32), np.empty(len(points), np.float32)
-    close = np.zeros(len(points), np.uint8)
+    close, tells = np.zeros(len(points), np.uint8), np.zeros(len(points), np.float32)
     rows, columns = level.grey.shape
     total, j = np.zeros(44), np.zeros(_UNKNOWNS)
     m = level.matrix
@@ -255,6 +274,8 @@ def normal_equations(points, level, motion, brightness, grey_sigma, depth_weight
         # An occluder of unknown distance is a one-sided outlier: its weight must fall to 0 (docs/decisions.md).
         weight = (1.0 - (ratio / _TUKEY) ** 2) ** 2 / (noise * noise) if ratio < _TUKEY else 0.0
         _add(total, j, weight, r, _UNKNOWNS)
+        if ratio < _TUKEY:
+            tells[n] = along
         if not abs(apart) <= outlier_mm:  # unknown, or another surface
             close[n] = _DIFFERS if apart > outlier_mm else 0
             continue
@@ -273,4 +294,4 @@ def normal_equations(points, level, motion, brightness, grey_sigma, depth_weight
         ratio = abs(apart) / sigma
         weight = depth_weight * (1.0 if ratio <= HUBER else HUBER / ratio) / (sigma * sigma)
         _add(total, j, weight, apart, 6)
-    return total, residual, matched, close
+    return total, residual, matched, close, tells

@@ -186,6 +186,8 @@ class Reconstruction:
         if self.lost_in_row:
             self.listener(f"frame {view.index}: tracking found again after {self.lost_in_row} frames")
         self.lost_in_row = 0
+        if found.keyframe is not None and found.points is not None:
+            found.keyframe.refine(found.points)
         self._pose = orthonormal(found.pose)
         if continuous:
             self._motion.update(self._pose, view.time_s)

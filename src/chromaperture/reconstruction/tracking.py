@@ -1,6 +1,7 @@
 """Estimate the pose of a view against a keyframe, by brightness and distance.
 
-A keyframe has the distances of the model but its own picture: the model's colours are only as sharp as its voxels.
+A keyframe has its own picture, as the model's colours are only as sharp as its voxels, and the distances of the model,
+which parallax between the frames refines: measured depth errs alike over whole regions, and bends the path with it.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 
 from chromaperture.depth.error_limit import within_error
 from chromaperture.products.rectified import View
-from chromaperture.reconstruction.direct_alignment import Level, align, pyramid, select_points
+from chromaperture.reconstruction.direct_alignment import MODEL_SHARE, Level, align, pyramid, select_points
 from chromaperture.reconstruction.settings import ReconstructionConfig
 
 
@@ -58,6 +59,8 @@ class Track:
     overlap: float  # fraction of the keyframe's points that are visible at their distance
     correlation: float  # of the view's brightness with the keyframe's, -1..1
     lost: str  # why the pose is not reliable; empty when it is
+    points: np.ndarray | None = None  # the keyframe's, of the finest scale, refined
+    keyframe: Keyframe | None = None
 
     @property
     def score(self) -> float:
@@ -67,15 +70,16 @@ class Track:
 
 @dataclass
 class Keyframe:
-    """A past view that others are aligned with: its reduced picture; distances from the model once there are any."""
+    """A past view that others are aligned with: its reduced picture; distances of the model, or refined."""
 
     pose: np.ndarray  # (4, 4) float64, camera to world, mm
     thumbnail: np.ndarray  # (30, 40) float32
     grey: np.ndarray  # (H, W) uint8
     z_mm: np.ndarray  # (H, W) float32, NaN unknown
-    sigma_mm: np.ndarray  # (H, W) float32, of the view's own distances
+    sigma_mm: np.ndarray  # (H, W) float32, of the view's own distances, or of refined ones
     matrix: np.ndarray  # (3, 3) float64, of the reduced picture
     _points: list[np.ndarray] | None = field(default=None, repr=False)
+    _refined: np.ndarray | None = field(default=None, repr=False)  # (H, W) bool: pixels of refined distance
 
     @property
     def points(self) -> list[np.ndarray]:
@@ -86,9 +90,24 @@ class Keyframe:
         return self._points
 
     def set_distances(self, z_mm: np.ndarray) -> None:
-        """Replace distances by the model's where it has them (NaN unknown)."""
-        self.z_mm = np.where(np.isfinite(z_mm), z_mm, self.z_mm)
+        """Replace distances by the model's where it has them (NaN unknown), and parallax has not refined them."""
+        news = np.isfinite(z_mm)
+        if self._refined is not None:
+            news &= ~self._refined
+        self.z_mm = np.where(news, z_mm, self.z_mm)
         self._points = None
+
+    def refine(self, points: np.ndarray) -> None:
+        """Take the distances of refined points of the finest scale."""
+        pixels = points[:, :2] / points[:, 2:3] * self.matrix[[0, 1], [0, 1]] + self.matrix[:2, 2]
+        columns, rows = np.rint(pixels).astype(int).T
+        self.z_mm[rows, columns] = points[:, 2]
+        self.sigma_mm[rows, columns] = points[:, 6] * points[:, 2] / MODEL_SHARE
+        if self._refined is None:
+            self._refined = np.zeros(self.grey.shape, bool)
+        self._refined[rows, columns] = True
+        if self._points is not None:
+            self._points[0] = points
 
     def free_points(self) -> None:
         """Free the memory of `points`, which are computed again when needed."""
@@ -150,7 +169,7 @@ def track(view: PreparedView, keyframe: Keyframe, guess: np.ndarray, *, config: 
     elif found.correlation < config.min_correlation:
         lost = f"the picture differs from the model (correlation {found.correlation:.2f})"
     else:
-        return Track(pose, found.overlap, found.correlation, "")
+        return Track(pose, found.overlap, found.correlation, "", found.points, keyframe)
     return Track(guess, found.overlap, found.correlation, lost)
 
 
