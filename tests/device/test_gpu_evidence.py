@@ -1,8 +1,11 @@
 """Evidence from the camera's blur on a GPU agrees with the CPU's, stage by stage."""
 
+import math
+
 import numpy as np
 import pytest
 
+from chromaperture.matching.blocks import BLOCK_PX
 from chromaperture.matching.device import evidence_stages
 from chromaperture.matching.device.device import Chain, DeviceError
 from chromaperture.matching.device.evidence_stages import add_evidence, add_transform, plan_evidence
@@ -39,14 +42,14 @@ class Case:
         self.labels = np.linspace(self.layers[0], self.layers[-1], 4 * half_range + 1)
         self.plan = plan_evidence(self.source, self.layers)
         self.chain = Chain(any_device())
-        size, tiles = self.image.size, len(self.plan.nodes.places)
+        size, tiles, blocks = self.image.size, len(self.plan.nodes.places), (height // BLOCK_PX, width // BLOCK_PX)
         arrays = [self.chain.array(name, n) for name, n in (("image", size), ("noise", 3 * tiles))]
         unexplained = add_evidence(self.chain, self.plan, *arrays)
-        usable = self.chain.array("usable", size // 3)
-        likelihood = self.chain.array("likelihood", size // 3 * len(self.labels))
+        usable = self.chain.array("usable", math.prod(blocks))
+        likelihood = self.chain.array("likelihood", math.prod(blocks) * len(self.labels))
         add_labels(self.chain, self.plan, unexplained, usable, likelihood, self.labels)
         self.powers = self.plan.nodes.noise_powers(variance) if noise else np.zeros((tiles, 3))
-        self.usable = rng.random((height, width)) > 0.1
+        self.usable = rng.random(blocks) > 0.1
 
     def run(self, *outputs):
         inputs = {"image": self.image, "noise": self.powers, "usable": self.usable}
@@ -86,7 +89,8 @@ def test_evidence_agrees(design, shape, noise, label_map, more):
         signal = np.stack([tile.signal for tile in tiles])
         # Where the power is a millionth of the largest, its own rounding counts: the highest frequencies.
         np.testing.assert_allclose(found["signal"].reshape(signal.shape), signal, atol=1e-3)
-    correlation = case.source._correlations(case.image, case.plan.computed_px)
+    count = len(case.plan.computed_px)
+    correlation = np.moveaxis(case.source._correlations(case.image, case.plan.computed_px, count), 0, -1)
     primary = len(case.blur.pairs)  # others have fewer layers
     kept = [correlation[:primary], correlation[primary:, ..., : case.plan.parts[0].end]]
     expected = np.concatenate([part.ravel() for part in kept])
@@ -95,8 +99,8 @@ def test_evidence_agrees(design, shape, noise, label_map, more):
         assert correlation.mean(axis=(1, 2, 3)).min() < -0.5  # of a pair
     expected = case.source.at(case.image, case.layers, case.labels) * case.usable[..., None]
     off = np.abs(found["likelihood"].reshape(expected.shape) - expected)
-    # Near its limit of 0.999 the squared correlation's logarithm enlarges a difference 500 times. The device goes
-    # between pixels before labels: with a map that bends, an end of the range has a part of its evidence only there.
+    # Near its limit of 0.999 the squared correlation's logarithm enlarges a difference 500 times; at an end of the
+    # range rounding decides whether a label is inside.
     assert off[..., 1:-1].max() < 5e-3
     assert off.max() < 0.03
     assert off.mean() < 1e-4
