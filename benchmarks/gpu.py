@@ -2,7 +2,8 @@
 
 ``agree`` compares the depth by WGSL, Numba and the readable NumPy. ``speed`` compares the depth of a sample, then times
 whole calls beside Numba in the same process, and every stage by the device's timestamps. On a rasteriser in software
-both share the same cores: only the ratio says something.
+both share the same cores: only the ratio says something. ``count`` says what a GPU would be given of `accurate`, and
+needs none.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -24,8 +26,10 @@ import numpy as np
 from chromaperture.camera.camera import CodedApertureCamera, load_camera
 from chromaperture.camera.method import default_config
 from chromaperture.frame.depth_frame import DepthFrame
+from chromaperture.matching.accurate import AccurateMethod
+from chromaperture.matching.device import accurate_chain
 from chromaperture.matching.device.accurate_chain import AccurateChain
-from chromaperture.matching.device.device import Chain, pass_times_ms, stage_times_ms
+from chromaperture.matching.device.device import Chain, PlannedChain, pass_times_ms, stage_times_ms
 from chromaperture.matching.device.gpu_method import device_method
 from chromaperture.products.samples import open_sample
 from chromaperture.system.errors import CaptureWarning
@@ -167,6 +171,22 @@ def speed(args: argparse.Namespace) -> None:
             print(f"{name:20s} {row['dispatches']:10.0f} {row['mbytes']:10.1f} {row['ms']:10.3f}", flush=True)
 
 
+def count(args: argparse.Namespace) -> None:
+    """Print dispatches, memory and bytes of the arrays that dispatches bind, each once, of `accurate`."""
+    width, height = (int(side) for side in args.size.split("x"))
+    camera, _ = open_sample(args.sample, quality="accurate", device="cpu")
+    calibration = camera.at_size(width, height).calibration
+    config = default_config(calibration, "accurate", scale=args.scale or "auto")
+    method = CodedApertureCamera(calibration, config).method
+    assert isinstance(method, AccurateMethod)
+    with mock.patch.object(accurate_chain, "Chain", return_value=PlannedChain("quad")):
+        chain = AccurateChain(method, PlannedChain("quad").device, (height, width)).chain
+    bound = (array.size for dispatch in chain.dispatches for array in {a.name: a for a in dispatch.arrays}.values())
+    memory = 4e-6 * sum(array.size for array in chain.arrays.values())
+    moved = 4e-9 * sum(bound)
+    print(f"{len(method.labels_px)} labels, {len(chain.dispatches)} dispatches, {memory:.0f} MB, {moved:.2f} GB moved")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
@@ -179,6 +199,11 @@ def main() -> None:
     other.add_argument("--scale", type=int, help="match pictures reduced to 1 / scale; else the camera's own")
     other.add_argument("--json", action="store_true")
     other.set_defaults(run=speed)
+    counting = commands.add_parser("count")
+    counting.add_argument("--sample", default="still_life_cy_halves")
+    counting.add_argument("--size", default="720x480")
+    counting.add_argument("--scale", type=int)
+    counting.set_defaults(run=count)
     for each in (one, other):
         each.add_argument("--device", default="gpu")
         each.add_argument("--quality", nargs="+", choices=QUALITIES, default=["real-time", "paper"])
