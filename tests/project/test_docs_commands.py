@@ -11,6 +11,7 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import NamedTuple
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -107,7 +108,8 @@ def check_options(arguments: list[str], *, whole: bool = True) -> None:
     if hasattr(command, "commands") and rest:  # as "session new"
         name, command, rest = command.resolve_command(command.make_context(name, list(rest), parent=context), rest)
     try:
-        command.make_context(name, list(rest), parent=context)
+        with mock.patch("chromaperture.model.file_kind.camera_file_at", side_effect=lambda path: path):
+            command.make_context(name, list(rest), parent=context)
     except Exception as error:
         if whole or type(error).__name__ != "MissingParameter":
             raise
