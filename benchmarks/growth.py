@@ -14,8 +14,10 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import cv2
+import matplotlib.pyplot as plt
 import numpy as np
 from speed import CONFIG, directions_of, matching, scene
 from timing import fastest_ms, used
@@ -36,6 +38,12 @@ VALUES = {
     "layers": (0.5, 0.75, 1.0, 1.5, 2.0),  # of those of the camera, in the same range
     "blur": (0.5, 0.75, 1.0, 1.25, 1.5),  # of the range of the camera, in as many layers
     "photographs": (1, 2, 4, 8),
+}
+LABELS = {
+    "pixels": "megapixels",
+    "layers": "layers",
+    "blur": "widest blur, px at the pupil's edge",
+    "photographs": "photographs of 0.35 megapixels",
 }
 
 
@@ -98,19 +106,43 @@ def case(quality: str, axis: str, value: float) -> dict:
     return {"quality": quality, "axis": axis, "place": place, "cpu_s": seconds, "peak_gb": used()["peak_gb"]}
 
 
-def measuring(axes: Sequence[str]) -> None:
+def measuring(axes: Sequence[str], out: Path | None) -> None:
+    rows: list[dict] = []
     for axis in axes:
         for quality in QUALITIES:
             for value in VALUES[axis]:
                 command = [sys.executable, __file__, "measuring", "--case", quality, axis, str(value)]
                 run = subprocess.run(command, capture_output=True, text=True, check=True)
-                print(run.stdout.splitlines()[-1], flush=True)
+                rows.append(json.loads(run.stdout.splitlines()[-1]))
+                print(json.dumps(rows[-1]), flush=True)
+    if out is not None:
+        draw(rows, axes, out)
+
+
+def draw(rows: Sequence[dict], axes: Sequence[str], out: Path) -> None:
+    """Draw processor time and memory against every axis."""
+    figure, places = plt.subplots(2, len(axes), figsize=(3.25 * len(axes), 5.6), squeeze=False, layout="constrained")
+    for (top, bottom), axis in zip(places.T, axes, strict=True):
+        for quality, marker in zip(QUALITIES, "os", strict=True):
+            own = [row for row in rows if (row["axis"], row["quality"]) == (axis, quality)]
+            for place, key in ((top, "cpu_s"), (bottom, "peak_gb")):
+                place.plot([row["place"] for row in own], [row[key] for row in own], marker=marker, label=quality)
+                place.set_xlabel(LABELS[axis])
+                place.grid(alpha=0.3)
+                place.set_xscale("log" if axis == "pixels" else "linear")
+        top.set_yscale("log")
+        bottom.set_ylim(bottom=0)
+    places[0, 0].set_ylabel("processor time, s")
+    places[1, 0].set_ylabel("peak memory, GB")
+    places[0, 0].legend()
+    figure.savefig(out, dpi=100)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("part", choices=["matcher", "measuring"])
     parser.add_argument("--axes", nargs="+", choices=VALUES, default=list(VALUES), help="of measuring")
+    parser.add_argument("--out", type=Path, help="picture of measuring, as PNG")
     parser.add_argument("--case", nargs=3, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.case:
@@ -118,7 +150,7 @@ def main() -> None:
     elif args.part == "matcher":
         matcher()
     else:
-        measuring(args.axes)
+        measuring(args.axes, args.out)
 
 
 if __name__ == "__main__":
