@@ -106,8 +106,8 @@ class BlurEvidence:
 
     def plan(self, layers_px: np.ndarray) -> LayerPlan:
         """Return which layers are computed."""
-        layers_px = odd_layers(layers_px)
-        numbers = np.arange(len(layers_px))
+        numbers = np.arange(len(layers_px) // 2 * 2 + 1)
+        layers_px = layers_px[0] + (layers_px[1] - layers_px[0]) * numbers  # every second one is computed, and the last
         sharp = (numbers % 2 == 1) & (np.abs(layers_px) < SHARP_PX * self.blur.reach)
         of_all = (numbers % 4 == 0) | (numbers == numbers[-1])
         computed = np.concatenate([numbers[of_all], numbers[~of_all & ((numbers % 2 == 0) | sharp)]])
@@ -219,11 +219,6 @@ class BlurEvidence:
     @property
     def _window(self) -> float:
         return self.config.window_sigma_px / SAMPLING_PX  # samples
-
-
-def odd_layers(layers_px: np.ndarray) -> np.ndarray:
-    """Return layers, one more if their number is even: every second one is computed, and the last; float64, px."""
-    return np.asarray(layers_px[0] + (layers_px[1] - layers_px[0]) * np.arange(len(layers_px) // 2 * 2 + 1))
 
 
 def _bands(picture: np.ndarray, config: CrossFilterConfig) -> list[tuple[np.ndarray, np.ndarray]]:

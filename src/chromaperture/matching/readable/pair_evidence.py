@@ -75,19 +75,13 @@ def _every_layer(computed: np.ndarray, places: np.ndarray) -> np.ndarray:
 def with_midpoints(volume: np.ndarray) -> np.ndarray:
     """Interpolate a volume (D, ...) halfway between its layers, by a polynomial through six; (2 D - 1, ...)."""
     count = len(volume)
-    before, after = ([2 * volume[end] - volume[inner] for inner in inners] for end, inners in _inners(count))
-    wide = np.stack([*before[::-1], *volume, *after])
+    mirrored = [2 * volume[0] - volume[min(k, count - 1)] for k in (2, 1)]
+    wide = np.stack([*mirrored, *volume, *(2 * volume[-1] - volume[max(count - 1 - k, 0)] for k in (1, 2))])
     out = np.empty((2 * count - 1, *volume.shape[1:]), volume.dtype)
     out[::2] = volume
     weights = (np.float32(weight) for weight in lagrange_weights(np.array(0.5)))
     out[1::2] = sum(weight * wide[k : k + count - 1] for k, weight in enumerate(weights))
     return out
-
-
-def _inners(count: int) -> list[tuple[int, list[int]]]:
-    """Layers at both ends that an odd continuation mirrors, with the ends."""
-    last = count - 1
-    return [(0, [min(1, last), min(2, last)]), (last, [max(last - 1, 0), max(last - 2, 0)])]
 
 
 def explained_variance(correlation: np.ndarray) -> np.ndarray:
