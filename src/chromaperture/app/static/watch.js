@@ -54,7 +54,13 @@ function limit(frame) {
 
 const focus = () => wish("focus", $("watch-elsewhere").checked ? { distance_mm: sliders.focus.value, pupil: sliders.pupil.value } : {});
 
-async function wish(what, values) { say(""); show(await (await ask(`api/live/${what}${query(values)}`, { method: "POST" })).json()); }
+let wishes = 0, waiting = 0;
+
+async function wish(what, values) {
+  say("");
+  wishes++, waiting++;
+  try { show(await (await ask(`api/live/${what}${query(values)}`, { method: "POST" })).json()); } finally { waiting--; }
+}
 
 // Repeats a task until the page is closed. What fails is said once, and no more when it goes on.
 async function repeat(task) {
@@ -85,10 +91,12 @@ function frames() {
 }
 
 const states = () => repeat(async () => {
-  show(await askJson("api/live/state"));
+  // What is asked before a wish is granted would take it back on the page.
+  const isFree = !waiting, before = wishes, now = await askJson("api/live/state");
+  if (isFree && before === wishes) show(now);
   const { points } = viewer;
-  points?.setPath(state.path);
-  if (points && state.mesh !== mesh) {
+  points?.setPath(now.path);
+  if (points && now.mesh !== mesh) {
     const message = await unpackMessage(await (await ask("api/live/mesh")).arrayBuffer());
     const [vertices, triangles, colors] = await Promise.all(["vertices", "triangles", "colors"].map((name) => message.array(message[name])));
     points.setModel({ vertices, triangles, colors });
