@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -136,8 +136,8 @@ def test_rays_end_where_small_steps_between_voxels_find_the_surface(seed):
     for y, x in np.ndindex(SIZE):
         slope = pose[:3, :3] @ ((x - MATRIX[0, 2]) / MATRIX[0, 0], (y - MATRIX[1, 2]) / MATRIX[1, 1], 1.0)
         expected[y, x] = first_surface(box, pose[:3, 3], slope, 1400.0, VOXEL_MM)
+    assume(np.isfinite(expected).mean() > 0.2)  # some poses look past the box
     both = np.isfinite(expected) & np.isfinite(found)
-    assert both.mean() > 0.2
     # Rays that graze the ball, or the border of what is known, meet a surface in one of the two only, or another one.
     assert (np.isfinite(expected) != np.isfinite(found)).mean() < 0.03
     # Found: 2e-6 voxels in the median, 1e-3 at the 95th hundredth, where the ball bends within a step.
