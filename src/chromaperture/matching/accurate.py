@@ -69,7 +69,7 @@ class Prepared(NamedTuple):
 
     image: np.ndarray  # clipped areas filled, see `clipped_filled`
     usable: np.ndarray  # 1 or 0
-    guide: np.ndarray  # see `Views.guide`
+    guide: np.ndarray  # (h, w), of blocks: see `Views.guide`
     variance: np.ndarray  # of the image's noise
 
 
@@ -125,7 +125,7 @@ class AccurateMethod(Method):
         """Return what is matched of an image (H, W, 3)."""
         views = filtered_views(image, self.space, config=self.config.views)
         image, usable = clipped_filled(image, views.mask)
-        return Prepared(image, usable, views.guide, self.evidence.noise.variance(image))
+        return Prepared(image, usable, block_means(views.guide), self.evidence.noise.variance(image))
 
     @property
     def labels_px(self) -> np.ndarray:
@@ -138,7 +138,7 @@ class AccurateMethod(Method):
         likelihood = self.evidence.at(image, self.config.layers.values_px, self.labels_px, noise_variance=variance)
         if not usable.all():
             likelihood *= block_means(usable)[..., None]
-        return path_surface(likelihood, block_means(guide), self.labels_px, config=self.config, run=self.run)
+        return path_surface(likelihood, guide, self.labels_px, config=self.config, run=self.run)
 
     def of_labels(self, surface: Surface, image: np.ndarray, usable: np.ndarray) -> Disparity:
         """Return the disparity of a surface of labels; image and where it is usable as `clipped_filled` has them."""

@@ -34,13 +34,13 @@ def _rows(correlation, places, primary, band_weights, fallback, first, last, out
     seconds = np.zeros((pairs, bands, (count + 1) // 2, padded), np.float32)
     fourths = np.zeros(((count + 3) // 4, padded), np.float32)
     here, rest = np.zeros((pairs, padded), np.float32), np.ones(padded, np.float32)
-    nats, nothing = np.empty((2, count, padded), np.float32), np.zeros(2 * count * padded, np.float32)
+    nats = np.empty((2, count, padded), np.float32)
     for y in range(first, last):
         for pair in range(pairs):
             of_pair = places[0 if pair < primary else 1]
             for band in range(bands):
                 _every_second(correlation[:, pair, band, y], of_pair[::2], fourths, seconds[pair, band])
-        _copy(nothing, nats.reshape(-1))
+        nats[:] = 0
         for layer in range(count):
             for band in range(bands):
                 for pair in range(pairs):

@@ -120,7 +120,7 @@ class AccurateChain:
     def _inputs(self, prepared: Prepared) -> dict[str, np.ndarray]:
         image, usable, guide, variance = prepared
         usable = block_means(usable)
-        inputs = {"image": image, "usable": usable, "guide": block_means(guide)}
+        inputs = {"image": image, "usable": usable, "guide": guide}
         of_noise: dict[str, Callable[[], np.ndarray]] = {}
         if self.plan is not None:
             if not np.isfinite(image).all():

@@ -85,14 +85,8 @@ def plan_evidence(source: BlurEvidence, layers_px: np.ndarray) -> EvidencePlan:
             f"tiles of {nodes.size_px} px are too large for the GPU, at most {MOST_TRANSFORMED}: "
             "use --device cpu, or a smaller --scale"
         )
-    return EvidencePlan(
-        source,
-        plan.layers_px,
-        plan.computed_px,
-        plan.places[0].astype(np.int32),
-        tuple(part for part in parts if part.end > part.begin),
-        nodes,
-    )
+    parts = [part for part in parts if part.end > part.begin]
+    return EvidencePlan(source, plan.layers_px, plan.computed_px, plan.places[0].astype(np.int32), tuple(parts), nodes)
 
 
 class RoundSizes:
