@@ -65,6 +65,7 @@ def thin_plate(nats: np.ndarray, start: np.ndarray, log_odds: np.ndarray, *, con
         weight = np.where(np.abs(step) < _LONGEST_STEP, curvature, np.abs(slope) / _LONGEST_STEP)
         weight = np.maximum(weight, _LEAST_CURVATURE)
         matrix = sparse.diags_array(weight.ravel()) + sum(term.stiffness(label.ravel()) for term in terms)
+        # Panels of 4 columns take 0.9 of the time of 20, SuperLU's own, at 120 x 180 blocks.
         solver = splu(
             matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0, panel_size=4,
             options={"SymmetricMode": True},
