@@ -227,7 +227,7 @@ class SurfaceConfig(Settings):
     edge_floor: Share = 0.05
     #: Gaussian window over which neighbours decide where between two layers the surface lies.
     interpolation_sigma_px: Positive = 8.0
-    #: Nats a path by which a layer may cost more and still be 1/e as probable. With 0.6 shifted views of noise alone look
+    #: Nats a path by which a layer may cost more and still be 1/e as probable. With 0.6 shifted views of noise look
     #: surer than the range allows (``tests/depth/test_confidence.py``); that of known blur is fitted.
     temperature: Positive = 0.7
     #: Judge the surface by ``matching/error_bar.py``, as learned from evidence of that kind, or by its
