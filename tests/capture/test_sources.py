@@ -13,12 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from chromaperture.capture.aravis import best_format, unpack
 from chromaperture.capture.bayer import PATTERNS, superpixels
 from chromaperture.capture.files import read_image
 from chromaperture.capture.open import connected_sources, open_source
+from chromaperture.capture.pixel_formats import best_format, unpack
 from chromaperture.capture.source import FileSource, Frame
-from chromaperture.capture.threaded_source import DeviceLostError, LiveSource, StreamEndedError, played
+from chromaperture.capture.threaded_source import Arrival, DeviceLostError, LiveSource, StreamEndedError, played
 from chromaperture.color.encoding import Encoding
 from chromaperture.system.errors import CaptureWarning, InputError, MissingDependencyError
 
@@ -83,10 +83,63 @@ def test_bytes_of_a_machine_vision_camera():
     assert counts[0, 0].tolist() == [2 * cells[1, 0], cells[0, 0] + cells[1, 1], 2 * cells[0, 1]]
     assert encoding.white_level == 2 * 4095
     assert best_format(["Mono8", "BayerRG8", "BayerRG12", "RGB8"]) == "BayerRG12"
-    with pytest.raises(InputError, match="Mono8"):
+    assert best_format(["BayerGR8", "BayerGR12p", "BayerGR12Packed"]) == "BayerGR12p"
+    with pytest.raises(InputError, match=r"Mono8.*monochrome"):
         best_format(["Mono8"])
     with pytest.raises(InputError, match="YUV"):
         unpack(b"", 2, 2, "YUV422Packed")
+    with pytest.raises(InputError, match="half a picture: 40 bytes of 48"):
+        unpack(cells.tobytes()[:40], 6, 4, "BayerGB12")
+
+
+def packed(values, kind, bits):
+    """Bytes of the standard's two ways to pack, bit by bit."""
+    if kind == "p":  # one number of all bits, the first pixel lowest
+        number = sum(int(v) << (bits * i) for i, v in enumerate(values))
+        return number.to_bytes(-(-bits * len(values) // 8), "little")
+    pairs = [(int(a), int(b)) for a, b in zip(values[::2], values[1::2], strict=True)]
+    low = bits - 8
+    return bytes(
+        byte for a, b in pairs for byte in (a >> low, (a % 2**low) | (b % 2**low) << 4, b >> low)
+    )
+
+
+@pytest.mark.parametrize("kind", ["p", "Packed"])
+@pytest.mark.parametrize("bits", [10, 12])
+def test_packed_pixels_are_those_that_were_packed(kind, bits, rng):
+    cells = rng.integers(0, 2**bits, (4, 6)).astype("<u2")
+    found, encoding = unpack(packed(cells.ravel(), kind, bits), 6, 4, f"BayerRG{bits}{kind}")
+    expected, _ = unpack(cells.tobytes(), 6, 4, f"BayerRG{bits}")
+    np.testing.assert_array_equal(found, expected)
+    assert encoding.white_level == 2 * (2**bits - 1)
+
+
+def test_frames_that_do_not_arrive_are_counted_and_told_of():
+    class Lossy:
+        """Sends frames 0, 1, one that is broken, two that are lost, 5."""
+
+        def __init__(self):
+            picture_ = Frame(np.full((8, 8, 3), 500, np.uint16), LINEAR, 0.0, 0)
+            self.sent = [Arrival(picture_), picture_, Arrival(incomplete=1, advice="use a shorter cable")]
+            self.sent += [Arrival(picture_, lost=2)]
+
+        def read(self, index):
+            time.sleep(0.02)
+            if not self.sent:
+                raise StreamEndedError
+            return self.sent.pop(0)
+
+        def close(self):
+            pass
+
+    events = []
+    with LiveSource("test", Lossy, listener=events.append) as source:
+        indices = [frame.index for frame in source]
+    assert indices == [0, 1, 5]
+    assert vars(source.counts) == {"delivered": 3, "skipped": 0, "incomplete": 1, "lost": 2}
+    assert source.counts.sent == 6
+    assert [e.kind for e in events] == ["missing"]  # at once; the next only after a while
+    assert "1 arrived incomplete, 0 not at all; use a shorter cable" in events[0].message
 
 
 # Files
@@ -383,6 +436,7 @@ def test_a_gige_camera_that_loses_power_is_found_again():
 TETHERED = """
 import sys
 from chromaperture.capture.open import connected_sources, open_source
+from chromaperture.capture.pixel_formats import best_format, unpack
 specs = connected_sources()[2].specs
 assert specs, "no virtual camera"
 with open_source(specs[0] + "?count=2") as source:

@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import re
 import time
 from typing import Any
 
-import numpy as np
-
-from chromaperture.capture.bayer import superpixels
+from chromaperture.capture.pixel_formats import best_format, unpack
 from chromaperture.capture.source import Frame
 from chromaperture.capture.threaded_source import DeviceLostError, not_there
-from chromaperture.color.encoding import Encoding
-from chromaperture.system.errors import InputError, MissingDependencyError
+from chromaperture.system.errors import MissingDependencyError
 
 _BUFFERS = 8  # frames in flight; chosen by hand, not tuned
-_ORDER = ("12", "10", "16", "8")  # bits, unpacked, by preference: more than 12 only cost bandwidth
 
 
 def load_aravis() -> Any:
@@ -107,35 +102,6 @@ class AravisCamera:
         except _glib_error():
             pass  # unplugged
         self._stream = self._camera = None
-
-
-def best_format(available: list[str]) -> str:
-    """Choose the pixel format with the best resolution of colour."""
-    for bits in _ORDER:
-        for name in available:
-            if re.fullmatch(rf"Bayer(RG|BG|GR|GB){bits}", name):
-                return name
-    if "RGB8" in available or "RGB8Packed" in available:
-        return "RGB8" if "RGB8" in available else "RGB8Packed"
-    raise InputError(
-        f"the camera offers {', '.join(available) or 'no format'}; depth needs Bayer (8 to 16 bit) or RGB8"
-    )
-
-
-def unpack(
-    data: bytes, width: int, height: int, pixel_format: str, black_level: float = 0.0, white_level: float | None = None
-) -> tuple[np.ndarray, Encoding]:
-    """Convert the bytes of Bayer in 8, 10, 12 or 16 bits unpacked, or of RGB8, to counts; raises InputError."""
-    found = re.fullmatch(r"Bayer(RG|BG|GR|GB)(8|10|12|16)", pixel_format)
-    if pixel_format in ("RGB8", "RGB8Packed"):
-        counts = np.frombuffer(data, np.uint8, 3 * width * height).reshape(height, width, 3).copy()
-        return counts, Encoding(black_level, white_level or 255.0)
-    if found is None:
-        raise InputError(f"pixel format {pixel_format} is not read; choose Bayer (8 to 16 bit, unpacked) or RGB8")
-    bits = int(found[2])
-    mosaic = np.frombuffer(data, np.uint8 if bits == 8 else "<u2", width * height).reshape(height, width)
-    pattern = {"RG": "RGGB", "BG": "BGGR", "GR": "GRBG", "GB": "GBRG"}[found[1]]
-    return superpixels(mosaic, pattern, black_level=black_level, white_level=white_level or 2**bits - 1)
 
 
 def aravis_cameras() -> list[str]:

@@ -35,7 +35,7 @@ class Frame:
     counts: np.ndarray  # (H, W, 3) uint8, uint16 or float32: R, G, B as delivered; stored by recordings
     encoding: Encoding
     time_s: float  # live and replayed: seconds since 1970 when the frame arrived. Files: seconds since the first frame
-    index: int  # number of the frame in its source, from 0; gaps are dropped frames
+    index: int  # number of the frame in its source, from 0; gaps are frames that were skipped, or did not arrive
     metadata: Mapping[str, Any] = field(default_factory=dict)  # JSON values: exposure_us, gain, file, ... if known
 
     @cached_property
@@ -44,7 +44,7 @@ class Frame:
         return develop_counts(self.counts, self.encoding)
 
 
-EventKind = Literal["lost", "reconnected", "size", "dark", "skipped", "turned", "siting"]
+EventKind = Literal["lost", "reconnected", "size", "dark", "skipped", "missing", "turned", "siting"]
 
 
 @dataclass(frozen=True)
@@ -63,12 +63,30 @@ def log_event(event: Event) -> None:
     logging.getLogger("chromaperture.capture").warning(event.message)
 
 
+@dataclass
+class FrameCounts:
+    """What became of the frames of a live camera, as far as the numbers that it gives them tell."""
+
+    delivered: int = 0  # to the reader
+    skipped: int = 0  # whole, and replaced by newer ones before they were read
+    incomplete: int = 0  # arrived without some of their data
+    lost: int = 0  # did not arrive
+
+    @property
+    def sent(self) -> int:
+        """All of them."""
+        return self.delivered + self.skipped + self.incomplete + self.lost
+
+
 class Source(Protocol):
     """A source of frames: a context manager to iterate over; leaving it releases the device."""
 
     # Only the newest frame is kept for a slow reader; otherwise every frame is delivered, at the reader's pace.
     live: bool
-    dropped: int  # number of frames that were replaced by newer ones before they were read
+
+    @property
+    def dropped(self) -> int:
+        """Number of frames that were replaced by newer ones before they were read."""
 
     @property
     def name(self) -> str:

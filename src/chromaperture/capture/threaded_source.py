@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol, Self
 
 import numpy as np
 
-from chromaperture.capture.source import Event, FileSource, Frame, Listener, log_event, steady
+from chromaperture.capture.source import Event, FileSource, Frame, FrameCounts, Listener, log_event, steady
 from chromaperture.system.errors import ChromapertureError, InputError
 
 _KEPT_BYTES = 512 << 20  # frames of a loop that are cached: 290 of VGA in 16 bits
 _INTERVAL_S = 1 / 30  # of a loop of one picture: the frame rate that other sources assume
 _LONGEST_WAIT_S = 5.0  # a gap of the recording lasts no longer: closing waits for it. Chosen by hand, not tuned
+
+
+_REPORT_S = 10.0  # between two events of frames that do not arrive; chosen by hand, not tuned
 
 
 class DeviceLostError(Exception):
@@ -26,10 +30,21 @@ class StreamEndedError(Exception):
     """The device will not deliver more frames, as at the end of a replayed recording."""
 
 
+@dataclass(frozen=True)
+class Arrival:
+    """What came from a camera that numbers its frames, and how many it sent since the last one that did not come."""
+
+    frame: Frame | None = None
+    skipped: int = 0  # whole, left out by the driver for a newer one
+    incomplete: int = 0
+    lost: int = 0
+    advice: str = ""  # against what is incomplete or lost
+
+
 class Device(Protocol):
     """One opened camera, used only by the thread that opened it."""
 
-    def read(self, index: int) -> Frame | None:
+    def read(self, index: int) -> Frame | Arrival | None:
         """Wait up to about a second for a frame; None when none came; raises DeviceLostError or StreamEndedError."""
 
     def close(self) -> None:
@@ -41,6 +56,7 @@ class LiveSource:
 
     ``connect`` opens the device and raises InputError when it is missing or in use. ``listener`` is called with events
     from the capture thread. A camera is lost after ``silence_s`` without a frame, and looked for every ``retry_s``.
+    ``counts`` says what became of the frames since it was entered.
     """
 
     live = True
@@ -54,7 +70,7 @@ class LiveSource:
         silence_s: float = 5.0,
         retry_s: float = 1.0,
     ) -> None:
-        self.name, self.dropped = name, 0
+        self.name, self.counts = name, FrameCounts()
         self._connect, self._listener = connect, listener or log_event
         self._silence_s, self._retry_s = silence_s, retry_s
         self._slot: Frame | None = None
@@ -64,10 +80,17 @@ class LiveSource:
         self._over = False
         self._thread: threading.Thread | None = None
 
+    @property
+    def dropped(self) -> int:
+        """Number of frames that were replaced by newer ones before they were read."""
+        return self.counts.skipped
+
     def __enter__(self) -> Self:
         self._opened.clear()
         self._leave.clear()
-        self._slot, self._failure, self._over, self.dropped = None, None, False, 0
+        self._slot, self._failure, self._over, self.counts = None, None, False, FrameCounts()
+        self._missing, self._reported = FrameCounts(), -math.inf  # since the last event of missing frames, and its time
+        self._is_whole = True
         self._thread = threading.Thread(target=self._run, name=f"capture {self.name}", daemon=True)
         self._thread.start()
         self._opened.wait()
@@ -80,6 +103,9 @@ class LiveSource:
         self.stop()
         if self._thread is not None:
             self._thread.join(timeout=10)  # s: do not wait for a driver that hangs
+        with self._ready:
+            self.counts.skipped += self._slot is not None
+            self._slot = None
 
     def stop(self) -> None:
         """End the stream for a reader that waits for a frame; from any thread."""
@@ -99,6 +125,7 @@ class LiveSource:
                 if self._failure is not None:
                     raise self._failure
                 return
+            self.counts.delivered += 1
             yield frame
 
     def _run(self) -> None:
@@ -106,18 +133,13 @@ class LiveSource:
         try:
             device = self._connect()
             self._opened.set()
-            index, last, is_whole = 0, time.monotonic(), True
+            index, last = 0, time.monotonic()
             while device is not None and not self._leave.is_set():
                 try:
-                    frame = device.read(index)
-                    if frame is not None:
-                        was_whole, is_whole = is_whole, is_picture(frame.counts)
-                        if is_whole:
-                            self._put(frame)
-                        elif was_whole:
-                            event = Event("skipped", f"{self.name}: frame {index} is no colour picture; it is left out")
-                            self._listener(event)
-                        index, last = index + 1, time.monotonic()
+                    arrival = device.read(index)
+                    if arrival is not None:
+                        index = self._arrived(arrival if isinstance(arrival, Arrival) else Arrival(arrival), index)
+                        last = time.monotonic()
                     elif time.monotonic() - last > self._silence_s:
                         raise DeviceLostError(f"no frame for {self._silence_s:g} s")
                 except (DeviceLostError, OSError) as lost:
@@ -147,11 +169,39 @@ class LiveSource:
             return device
         return None
 
-    def _put(self, frame: Frame) -> None:
-        with self._ready:
-            self.dropped += self._slot is not None
-            self._slot = frame
-            self._ready.notify()
+    def _arrived(self, arrival: Arrival, index: int) -> int:
+        """Count what the camera sent, report what is missing, and pass the frame on; returns the next one's number."""
+        self._report(arrival)
+        index += arrival.skipped + arrival.incomplete + arrival.lost
+        if arrival.frame is None:
+            return index
+        was_whole, self._is_whole = self._is_whole, is_picture(arrival.frame.counts)
+        if self._is_whole:
+            with self._ready:
+                self.counts.skipped += self._slot is not None
+                self._slot = replace(arrival.frame, index=index)
+                self._ready.notify()
+        else:
+            self.counts.incomplete += 1
+            if was_whole:
+                self._listener(Event("skipped", f"{self.name}: frame {index} is no colour picture; it is left out"))
+        return index + 1
+
+    def _report(self, arrival: Arrival) -> None:
+        """Count what did not arrive, and tell of it: at once, then at intervals."""
+        for counts in (self.counts, self._missing):
+            counts.skipped += arrival.skipped
+            counts.incomplete += arrival.incomplete
+            counts.lost += arrival.lost
+        self._missing.delivered += arrival.frame is not None
+        missing = self._missing
+        if not (missing.incomplete or missing.lost) or time.monotonic() - self._reported < _REPORT_S:
+            return
+        message = (
+            f"{self.name}: of {missing.sent} frames {missing.incomplete} arrived incomplete, {missing.lost} not at all"
+        )
+        self._listener(Event("missing", f"{message}; {arrival.advice}" if arrival.advice else message))
+        self._missing, self._reported = FrameCounts(), time.monotonic()
 
 
 class Playback:

@@ -39,6 +39,7 @@ def record(
     Example: chromaperture record "webcam:0?exposure_us=5000" --out session/walk
     """
     from chromaperture.capture.recording import Recorder
+    from chromaperture.capture.source import FrameCounts
     from chromaperture.cli.setup import open_stream
     from chromaperture.model.camera_file import Calibration
 
@@ -58,11 +59,15 @@ def record(
                     break
         except KeyboardInterrupt:
             pass  # the usual way to stop
-    count, dropped = recorder.count, stream.dropped
+    count, dropped, counts = recorder.count, stream.dropped, getattr(stream, "counts", FrameCounts())
     if json:
-        print_json({"frames": count, "dropped": dropped, "seconds": time.monotonic() - began, "folder": str(out)})
+        missing = {"incomplete": counts.incomplete, "lost": counts.lost}
+        took = {"seconds": time.monotonic() - began, "folder": str(out)}
+        print_json({"frames": count, "dropped": dropped} | missing | took)
     elif not quiet:
         lost = f", {dropped} came too fast for the disk" if dropped else ""
+        lost += f", {counts.incomplete} arrived incomplete" if counts.incomplete else ""
+        lost += f", {counts.lost} did not arrive" if counts.lost else ""
         typer.echo(f"Recorded {count} frames{lost} to {out}; open it with replay:{out}")
 
 
