@@ -1,9 +1,13 @@
 """Depth in millimetres, for every pixel, from one photograph through a colour-coded aperture.
 
->>> import chromaperture as cap
->>> camera = cap.load_camera("camera.asdf")                                        # doctest: +SKIP
->>> frame = camera.measure("photo.png")                                            # doctest: +SKIP
->>> frame.depth_mm, frame.sigma_mm, frame.color                                    # doctest: +SKIP
+Begin with `load_camera` and its ``measure``::
+
+    import chromaperture as cap
+
+    camera = cap.load_camera("camera.asdf")        # that `calibrate` made; or cap.sample_camera("still_life_cy_halves")
+    frame = camera.measure("photo.png")            # seconds; measure(..., quality="real-time") a fraction of one
+    frame.depth_mm, frame.sigma_mm, frame.color    # (H, W) mm from the sensor, its error bar; (H, W, 3) linear RGB
+    frame.save("results/photo")                    # depth map, preview, points: what `chromaperture depth` writes
 
 docs/python.md is a tour. A name is imported when it is first used, so a program loads only what it needs.
 """

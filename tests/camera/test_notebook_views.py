@@ -26,7 +26,7 @@ def picture_of(html: str) -> np.ndarray:
 
 
 def test_a_camera_shows_its_film_and_what_it_is_worth():
-    camera = cap.load_camera(cap.sample_camera(SAMPLE))
+    camera = cap.load_camera(cap.sample_camera(SAMPLE), quality="real-time")
     html = camera._repr_html_()
     pupil = picture_of(html)
     left, right = pupil[60, 30], pupil[60, 90]

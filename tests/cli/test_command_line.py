@@ -42,7 +42,7 @@ def test_demo_writes_every_file_and_a_table(demo):
     folder, printed = demo
     assert "the far wall at the top right" in printed
     assert sorted(p.name for p in folder.iterdir()) == sorted(f"{s}.{x}" for s in SAMPLES for x in SUFFIXES)
-    for word in ("fill rate", "median", "mm", "preview.png"):
+    for word in ("quality accurate", "how sure", "mm", "preview.png"):
         assert word in printed
 
 

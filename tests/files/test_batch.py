@@ -87,7 +87,7 @@ def test_many_are_counted_and_few_are_tabulated(run, folder, tmp_path, monkeypat
     monkeypatch.setattr("chromaperture.cli.depth.MOST_COLUMNS", 2)
     result = run("depth", folder, "-c", CAMERA, "-o", tmp_path / "out", "--write", "json")
     assert "3 measured, 0 complete before, 1 failed" in result.stdout
-    assert "fill rate" not in result.stdout
+    assert "how sure" not in result.stdout
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import re
 import zlib
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from scipy.stats import norm
@@ -68,6 +69,24 @@ def test_error_bars_of_both_add_as_squares(rng):
     bars = compare_depth(other, b).figures["error_bars"]
     assert (bars["of"], bars["spread_in_sigmas"]) == ("both", pytest.approx(1, rel=0.02))
     assert compare_depth(truth, StoredDepth("b", b.depth_mm)).figures["error_bars"] is None
+
+
+@pytest.mark.parametrize(("name", "counts_a_mm"), [("a.depth_0.1mm.png", 10), ("a_depth_mm.png", 1), ("a.png", 1)])
+def test_the_unit_that_a_file_name_states_is_that_of_its_counts(tmp_path, name, counts_a_mm):
+    truth = np.full((4, 5), 1234.0)
+    truth[0, 0] = 0
+    assert cv2.imwrite(str(tmp_path / name), (truth * counts_a_mm).astype(np.uint16))
+    found = read_depth(tmp_path / name).depth_mm
+    assert np.isnan(found[0, 0])
+    np.testing.assert_allclose(found[1:], truth[1:], rtol=1e-6)  # float32
+
+
+def test_maps_in_different_units_are_said_to_be(rng):
+    truth, measured = maps(rng)
+    in_metres = StoredDepth("metres", measured.depth_mm / 1000)
+    said = depth_page(compare_depth(truth, in_metres)).sentences[0]
+    assert "0.001 times those of A: one of them seems not to be in mm" in said
+    assert "times those" not in " ".join(depth_page(compare_depth(truth, measured)).sentences)
 
 
 def test_what_b_does_not_know_is_not_within_anything():

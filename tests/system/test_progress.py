@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from chromaperture.camera.camera import load_camera
+from chromaperture.camera.camera import CodedApertureCamera, load_camera
 from chromaperture.cli import console
 from chromaperture.cli.main import main
+from chromaperture.model.camera_file import Calibration
 from chromaperture.products.samples import SAMPLES, sample_camera
 from waiting import until
 
@@ -150,22 +151,29 @@ def test_simulate_counts_its_photographs_on_standard_error(soon, tmp_path, monke
 
 def test_quality_accurate_estimates_its_time_for_the_size(capfd):
     camera = load_camera(sample_camera(SAMPLES[0]), quality="accurate")  # 720x480
-    console.announce_duration(camera, 3, quiet=False)
+    console.announce_duration(camera, 30, quiet=False)
     out, said = capfd.readouterr()
     seconds = console.ACCURATE_S_A_MEGAPIXEL * 0.3456
     assert out == ""
-    assert f"about {seconds:.0f} s a photograph of 0.35 megapixels, {3 * seconds:.0f} s for 3" in said
+    assert f"about {seconds:.0f} s a photograph of 0.35 megapixels, {30 * seconds:.0f} s for 30" in said
     assert "estimate" in said
-    console.announce_duration(camera, 3, quiet=True)
-    console.announce_duration(load_camera(sample_camera(SAMPLES[0])), 3, quiet=False)
+    console.announce_duration(camera, 30, quiet=True)
+    console.announce_duration(camera, 1, quiet=False)  # seconds: nobody wonders
+    fast = load_camera(sample_camera(SAMPLES[0]), quality="real-time")
+    console.announce_duration(fast, 1000, quiet=False)
     assert capfd.readouterr() == ("", "")
+    assert f"accurate tells more, and takes about {seconds:.0f} s a frame" in console.other_quality(fast, per="frame")
+    assert "real-time takes a fraction" in console.other_quality(camera)
+    uncalibrated = CodedApertureCamera(Calibration.uncalibrated("cy_halves", width_px=60, height_px=40))
+    assert console.other_quality(uncalibrated) == ""  # there is no other to choose
 
 
 def test_depth_estimates_before_it_measures(run, tmp_path):
-    """A photograph of the wrong size is refused after the estimate."""
-    cv2.imwrite(str(tmp_path / "small.png"), np.full((40, 60, 3), 9000, np.uint16))
-    result = run("depth", tmp_path / "small.png", "--camera", sample_camera(SAMPLES[0]), "--quality", "accurate")
+    """Photographs of the wrong size are refused after the estimate."""
+    for i in range(20):
+        cv2.imwrite(str(tmp_path / f"small{i}.png"), np.full((40, 60, 3), 9000, np.uint16))
+    result = run("depth", tmp_path, "--camera", sample_camera(SAMPLES[0]))
     assert result.returncode == 2
-    estimate, error = [line for line in result.stderr.splitlines() if not line.startswith(("warning:", "Compiling"))]
+    estimate, error, *_ = [line for line in result.stderr.splitlines() if not line.startswith(("warning:", "Compiling"))]
     assert "an estimate" in estimate
     assert error.startswith("error:")

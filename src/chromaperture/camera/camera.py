@@ -14,7 +14,7 @@ import numpy as np
 
 from chromaperture.camera.alignment import ChannelAlignment
 from chromaperture.camera.memory import check_camera_memory
-from chromaperture.camera.method import default_config, repaired, scaled_method
+from chromaperture.camera.method import default_config, photograph_quality, repaired, scaled_method
 from chromaperture.capture.checks import check_capture, check_form
 from chromaperture.capture.files import Photograph, read_light
 from chromaperture.capture.picture_header import same_frame
@@ -91,19 +91,28 @@ class CodedApertureCamera:
         self.method = scaled_method(calibration, self.config, execution, device)
         self.alignment = ChannelAlignment(calibration, self.config)
         self._at_sizes: dict[tuple[int, int], CodedApertureCamera] = {}
+        self._of_qualities: dict[Quality, CodedApertureCamera] = {}
 
     @property
     def depth_model(self) -> DepthModel | None:
         """The curve from disparity to depth over the frame; None for a camera that was never calibrated."""
         return self.alignment.depth_model
 
-    def measure(self, image: np.ndarray | str | Path, *, stage: StageTimer = lambda name: nullcontext()) -> DepthFrame:
+    def measure(
+        self,
+        image: np.ndarray | str | Path,
+        *,
+        quality: Quality | None = None,
+        stage: StageTimer = lambda name: nullcontext(),
+    ) -> DepthFrame:
         """Measure depth in millimetres for every pixel of one photograph.
 
         Parameters
         ----------
         image : (H, W, 3) float, linear RGB, 1.0 = white level; or str or Path
             From `chromaperture.read_image`; or a file, which is read with the levels of this camera, see `read`.
+        quality : {"paper", "real-time", "accurate"}, optional
+            In place of the camera's own, with its default settings.
         stage : callable, optional
             ``with stage(name):`` is entered around each stage, for timing and progress.
 
@@ -131,6 +140,8 @@ class CodedApertureCamera:
         is not checked: of others every distance is wrong. ``chromaperture depth`` and ``check`` compare its colours
         with the film's.
         """
+        if quality is not None and quality != self.config.quality:
+            return self._of_quality(quality).measure(image, stage=stage)
         if isinstance(image, str | Path):
             with stage("read"):
                 image = self.read(image)
@@ -161,6 +172,15 @@ class CodedApertureCamera:
         if self._is_of_another_size(image):
             return self._resized_to(image).submit(image)
         return self._submitted(self._checked(image))
+
+    def _of_quality(self, quality: Quality) -> CodedApertureCamera:
+        """Return this camera at another quality; kept, because preparing one takes a second."""
+        if quality not in self._of_qualities:
+            config = replace(default_config(self.calibration, quality), crop_origin_px=self.config.crop_origin_px)
+            self._of_qualities[quality] = CodedApertureCamera(
+                self.calibration, config, execution=self.execution, device=self.device
+            )
+        return self._of_qualities[quality]
 
     def _is_of_another_size(self, image: np.ndarray) -> bool:
         """Return whether the image shows the whole frame in other pixels."""
@@ -349,7 +369,7 @@ class CodedApertureCamera:
 def load_camera(
     path: str | Path,
     *,
-    quality: Quality = "real-time",
+    quality: Quality | None = None,
     scale: float | Literal["auto"] = "auto",
     execution: ExecutionName = "numba",
     device: str = "auto",
@@ -359,7 +379,9 @@ def load_camera(
     Parameters
     ----------
     path : str or Path
-    quality : {"paper", "real-time", "accurate"}
+    quality : {"paper", "real-time", "accurate"}, optional
+        For photographs ``accurate``, which is the default where the camera was calibrated for it: seconds a photograph.
+        For streams ``real-time``.
     scale : float or "auto"
         Match pictures reduced to 1 / scale; ``auto`` takes what the blur allows, see `camera_scale.working_scale`.
     execution : {"numba", "numpy"}
@@ -373,7 +395,7 @@ def load_camera(
         A GPU was asked for and the extra ``gpu`` is not installed.
     """
     calibration = Calibration.load(path)
-    config = default_config(calibration, quality, scale=scale)
+    config = default_config(calibration, quality or photograph_quality(calibration), scale=scale)
     return CodedApertureCamera(calibration, config, execution=execution, device=device)
 
 

@@ -21,6 +21,11 @@ from chromaperture.settings.methods import AccurateConfig, Config, ExecutionName
 from chromaperture.system.errors import CaptureWarning
 
 
+def photograph_quality(calibration: Calibration) -> Quality:
+    """Return the quality of single photographs: the best that the camera was calibrated for."""
+    return "accurate" if "accurate" in calibration.depth else "real-time"
+
+
 def default_config(
     calibration: Calibration, quality: Quality = "real-time", *, scale: float | Literal["auto"] = "auto"
 ) -> Config:

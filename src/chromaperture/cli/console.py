@@ -39,10 +39,15 @@ LINE_EVERY_S = 2.0  # between two lines of progress, where there is no terminal;
 SAME_AFTER = 2.5  # times as long between two lines that say the same; chosen by hand
 _FEW = 50  # parts: as kernels, the slowest of which take fifty times as long as the quickest
 _SPEED_OVER_S = 600.0  # the remaining time follows the last so many seconds: one photograph may take minutes
-# Of quality accurate, a camera's first photograph in a program: 2.7 to 3.6 s for 720x480 px on two cores (chromaperture
-# demo). Later ones take 2.3 s (benchmarks/speed.py accurate).
-ACCURATE_S_A_MEGAPIXEL = 8.0
+# Of quality accurate, a camera's first photograph in a program: MEASURE s for 720x480 px on two cores (chromaperture
+# demo). Later ones take 1.2 s (benchmarks/speed.py accurate).
+ACCURATE_S_A_MEGAPIXEL = 5.0
 
+_LONG_S = 10.0  # of a measurement that is announced; chosen by hand
+_CAPTION = (
+    "nearest, farthest: all but 5 % of the pixels are beyond, before; how sure: of half of the pixels the error bar "
+    "(one standard deviation) is shorter"
+)
 out = Console()
 err = Console(stderr=True)
 _shown: set[str] = set()  # warnings printed in this run
@@ -210,50 +215,65 @@ def _compile(update: Update, *qualities: str, quiet: bool) -> None:
 
 
 def announce_duration(camera: CodedApertureCamera, photographs: int, *, quiet: bool) -> None:
-    """Estimate how long quality accurate takes for photographs; the others take no time to speak of."""
-    if quiet or not photographs or camera.config.quality != "accurate":
-        return
+    """Estimate how long quality accurate takes for photographs, where one would wonder."""
     sensor = camera.calibration.sensor
     megapixels = sensor.width_px * sensor.height_px / 1e6
     each_s = ACCURATE_S_A_MEGAPIXEL * megapixels / camera.config.scale**2  # the working scale's pixels
+    if quiet or camera.config.quality != "accurate" or photographs * each_s < _LONG_S:
+        return
     several = f", {_duration(photographs * each_s)} for {photographs}" if photographs > 1 else ""
     say = f"Quality accurate: about {_duration(each_s)} a photograph of {megapixels:.2g} megapixels{several}"
     basis = f"{ACCURATE_S_A_MEGAPIXEL:.0f} s a megapixel, as measured on two cores of an Intel Xeon server"
-    print(f"{say} (an estimate: {basis}).", file=sys.stderr, flush=True)
+    print(f"{say} (an estimate: {basis}); --quality real-time is faster and tells less.", file=sys.stderr, flush=True)
+
+
+def other_quality(camera: CodedApertureCamera, *, per: str = "photograph") -> str:
+    """Say what the other quality would take; empty where the camera has only one."""
+    if "accurate" not in camera.calibration.depth:
+        return ""
+    if camera.config.quality == "accurate":
+        return "--quality real-time takes a fraction of a second and tells less."
+    sensor, scale = camera.calibration.sensor, camera.config.scale
+    each_s = ACCURATE_S_A_MEGAPIXEL * sensor.width_px * sensor.height_px / 1e6 / scale**2
+    return f"--quality accurate tells more, and takes about {_duration(each_s)} a {per}."
 
 
 def _duration(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
 
 
-def print_reports(reports: Sequence[Written], *, note: str = "") -> None:
+def print_reports(reports: Sequence[Written], *, note: str = "", verbose: bool = False) -> None:
     """Print a summary of measured images, a note, and the files written."""
-    out.print(_table(reports))
+    out.print(_table(reports, verbose=verbose))
     if note:
         out.print(note)
     print_files([file for report in reports for file in report.files])
 
 
-def _table(reports: Sequence[Written]) -> Table:
-    """Tabulate fill rate, depth percentiles and time per stage."""
+def _table(reports: Sequence[Written], *, verbose: bool) -> Table:
+    """Tabulate distances, error bars and time; of every stage where it is asked for."""
     calibrated = any(r.summary["depth_percentiles_mm"] for r in reports)
     unit, key = ("mm", "depth_percentiles_mm") if calibrated else ("px", "disparity_percentiles_px")
-    title = "Depth from the sensor plane" if calibrated else "Disparity (no calibration: no millimetres)"
-    summaries = table(title, "image", *(report.summary["image"] for report in reports))
+    quality = reports[0].summary["config"]["quality"]
+    title = "Distance from the sensor plane" if calibrated else "Disparity (no calibration: no millimetres)"
+    summaries = table(f"{title}, quality {quality}", "image", *(report.summary["image"] for report in reports))
     digits = 0 if calibrated else 2
 
     def row(name: str, cells: Iterable[str], style: str = "") -> None:
         summaries.add_row(name, *cells, style=style)
 
-    row("fill rate", (f"{r.summary['fill_rate']:.1%}" for r in reports))
-    for percentile, name in (("5", "nearest 5 %"), ("50", "median"), ("95", "farthest 5 %")):
+    names = ("nearest", "middle", "farthest") if calibrated else ("least", "middle", "greatest")
+    for percentile, name in zip(("5", "50", "95"), names, strict=True):
         values = [(r.summary[key] or {}).get(percentile) for r in reports]
         row(name, ("-" if v is None else f"{v:.{digits}f} {unit}" for v in values))
     if calibrated:
         sigmas = [r.summary["sigma_median_mm"] for r in reports]
-        row("median error bar", ("-" if s is None else f"±{s:.0f} mm" for s in sigmas))
-    for stage in reports[0].summary["seconds"]:
+        row("how sure", ("-" if s is None else f"±{s:.0f} mm" for s in sigmas))
+    row("pixels measured", (f"{r.summary['fill_rate']:.1%}" for r in reports))
+    row("time", (f"{sum(r.summary['seconds'].values()):.1f} s" for r in reports), "dim")
+    for stage in reports[0].summary["seconds"] if verbose else ():
         row(f"time, {stage}", (f"{1000 * r.summary['seconds'][stage]:.0f} ms" for r in reports), "dim")
+    summaries.caption = _CAPTION if calibrated else None
     return summaries
 
 

@@ -11,7 +11,7 @@ from rich.markup import escape
 
 from chromaperture.cli.console import announce_duration, compile_kernels, print_json, print_reports, progress
 from chromaperture.cli.console import out as console
-from chromaperture.cli.options import Json, Quiet
+from chromaperture.cli.options import Json, Quiet, Verbose
 
 if TYPE_CHECKING:
     from chromaperture.camera.camera import DepthFrame
@@ -30,6 +30,7 @@ def demo(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.")] = Path("chromaperture-demo"),
     json: Json = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Measure the captures that come with the package and write their depth maps."""
     from chromaperture.camera.camera import load_camera
@@ -47,17 +48,23 @@ def demo(
                 update(f"{name}: {stage}", i, len(SAMPLES))
 
             camera = load_camera(sample_camera(name), quality="accurate")
-            announce_duration(camera, len(SAMPLES) if i == 0 else 0, quiet=quiet)
+            announce_duration(camera, len(SAMPLES), quiet=quiet or i > 0)
             options: dict[str, Any] = {"caption": _CAPTIONS[name], "depth_range_mm": depth_range_mm}
             reports.append(measure_file(sample_image(name), camera, out=out, listener=show, **options))
             depth_range_mm = depth_range_mm or middle_range(reports[0].frame.depth_mm, 2)  # both in the same colours
     if json:
         print_json([report.summary | {"files": [str(path) for path in report.files]} for report in reports])
     elif not quiet:
-        print_reports(reports)
+        print_reports(reports, verbose=verbose)
         for report, line in zip(reports, explain_walls(*(report.frame for report in reports)), strict=True):
             preview = next(f for f in report.files if f.name.endswith(".preview.png"))
             console.print(f"Look at [bold]{escape(str(preview))}[/]: {escape(line)}", soft_wrap=True)
+        photo, camera_file = sample_image(SAMPLES[0]), sample_camera(SAMPLES[0])
+        command = f"chromaperture refocus {photo} --camera {camera_file} --point 360,240 --out {out}/refocused.png"
+        console.print(
+            f"The photographs and their camera files lie in {photo.parent}. Next, focus one anew: {command}",
+            soft_wrap=True, markup=False, highlight=False,
+        )  # fmt: skip
 
 
 def explain_walls(halves: DepthFrame, opened: DepthFrame) -> tuple[str, str]:

@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from chromaperture.cli.console import announce_duration, compile_kernels, print_json, print_reports, progress, say_error
+from chromaperture.cli.console import (
+    announce_duration,
+    compile_kernels,
+    other_quality,
+    print_json,
+    print_reports,
+    progress,
+    say_error,
+)
 from chromaperture.cli.console import out as console
 from chromaperture.cli.options import (
     Anyway,
@@ -27,10 +35,11 @@ from chromaperture.cli.options import (
     Json,
     MaxRelativeSigma,
     Mosaic,
+    PhotographQuality,
     Primaries,
-    Quality,
     Quiet,
     Scale,
+    Verbose,
     WhiteLevel,
     check_film,
     working_scale,
@@ -62,7 +71,7 @@ def depth(
     out: Annotated[
         str | None, typer.Option("--out", "-o", help="Folder for the results; default beside the image.")
     ] = None,
-    quality: Quality = "real-time",
+    quality: PhotographQuality = None,
     scale: Scale = "auto",
     crop_origin: CropOrigin = None,
     device: Device = "auto",
@@ -99,6 +108,7 @@ def depth(
     ] = 1,
     json: Json = False,
     quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
     """Measure depth in millimetres for every pixel of one or more photographs.
 
@@ -134,6 +144,8 @@ def depth(
     from chromaperture.products.archive import recipe_for
 
     refuse_common_results(names, out)
+    if out is not None and not is_url(out) and Path(out).exists() and not Path(out).is_dir():
+        raise InputError(f"cannot write to {out}, which is a file; choose another folder with --out")
     chosen_outputs(write, is_calibrated=camera is not None)  # before the work
     if device not in ("auto", "cpu") and (cluster is not None or jobs > 1):
         raise InputError("--cluster and --jobs measure on CPUs: leave --device out, or measure one at a time")
@@ -164,11 +176,14 @@ def depth(
             made_by = replace(made_by, again=True, outputs=chosen_outputs(write))
     if jobs > 1 and len(paths) > 1 and camera is not None:
         jobs = jobs_in_memory(camera_of(paths[0]), jobs)
-    compile_kernels(quality, quiet=quiet)
+    own = "real-time" if camera is None else camera_of(paths[0]).config.quality
+    compile_kernels(quality or own, quiet=quiet)
     note = "No calibration: disparity in px only. Depth in mm needs a camera file (--camera)."
+    if camera is not None:
+        note = other_quality(camera_of(paths[0]))
     measure_batch(
-        paths, camera_of, recipe=made_by, jobs=jobs, json=json, quiet=quiet, note=note if camera is None else "",
-        left_out=left_out, out=None if out is None else as_path(out), **options,
+        paths, camera_of, recipe=made_by, jobs=jobs, json=json, quiet=quiet, note=note,
+        left_out=left_out, verbose=verbose, out=None if out is None else as_path(out), **options,
     )  # fmt: skip
 
 
@@ -284,6 +299,7 @@ def measure_batch(
     quiet: bool,
     note: str,
     left_out: Mapping[Path, str],
+    verbose: bool,
     **options: Any,
 ) -> None:
     """Measure photographs here, keeping what ``recipe`` made before, and end with the batch's exit code."""
@@ -302,7 +318,7 @@ def measure_batch(
         reports = [report.summary | {"files": [str(path) for path in report.files]} for report in batch.reports]
         print_json(reports + [{"image": path.name, "left_out": reason} for path, reason in left_out.items()])
     elif not quiet:
-        _print(batch, len(images), seconds, note)
+        _print(batch, len(images), seconds, note, verbose=verbose)
         print_left_out(left_out)
     if batch.failed and len(images) > 1:
         names = ", ".join(Path(image).name for image, _ in batch.failed)
@@ -380,12 +396,14 @@ def _read(image: str, recipe: Recipe) -> Written:
     return Written(json_text.loads((folder / (path.stem + OUTPUTS["json"].suffix)).read_bytes()), files)
 
 
-def _print(batch: Batch, count: int, seconds: float, note: str) -> None:
+def _print(batch: Batch, count: int, seconds: float, note: str, *, verbose: bool) -> None:
     if count <= MOST_COLUMNS:
         if batch.reports:
-            print_reports(batch.reports, note=note)
+            print_reports(batch.reports, note=note, verbose=verbose)
     else:
         console.print(f"{count} photographs in {seconds:.0f} s: {batch.counts}")
+        if batch.reports:
+            console.print(f"Quality {batch.reports[0].summary['config']['quality']}. {note}".rstrip(), soft_wrap=True)
         folders = {file.parent for report in batch.reports for file in report.files}
         for folder in sorted(folders):
             console.print(f"Wrote to {folder}", soft_wrap=True, markup=False, highlight=False)

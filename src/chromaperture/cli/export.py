@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.console import compile_kernels, progress, say_warning
+from chromaperture.cli.console import compile_kernels, other_quality, progress, say_warning
 from chromaperture.cli.options import (
     Anyway,
     BlackLevel,
@@ -105,7 +105,7 @@ def export(
 
         count = write(out, views(), camera_matrix=matrix, max_relative_sigma=max_relative_sigma)
     if not quiet:
-        typer.echo(f"Wrote {count} frames to {out}")
+        typer.echo(f"Wrote {count} frames to {out} at quality {quality}. {other_quality(eye, per='frame')}".rstrip())
 
 
 def _writer(

@@ -13,7 +13,7 @@ import typer
 
 from chromaperture.app.free_space import RESERVE_BYTES
 from chromaperture.app.live.watchdog import WATCHDOG_S, Watchdog
-from chromaperture.cli.console import compile_kernels, print_json, say_warning
+from chromaperture.cli.console import compile_kernels, other_quality, print_json, say_warning
 from chromaperture.cli.options import (
     BlackLevel,
     Camera,
@@ -123,6 +123,8 @@ def live(
         shown = LivePage(loop, host=host, port=port, out=out, **limits) if page else None
         if shown is not None:  # with --quiet too: without its token nobody can open the page
             typer.echo(f"Look at {shown.url}; Ctrl-C ends it", err=json or quiet)
+            if not (json or quiet):
+                typer.echo(f"Quality {quality}. {other_quality(eye, per='frame')}".rstrip())
             if is_every_address(host):
                 elsewhere = shown.access.url(shown.port, host=socket.gethostname())
                 typer.echo(f"From other machines: {elsewhere}", err=json or quiet)

@@ -16,11 +16,13 @@ import typer
 from chromaperture import __version__
 from chromaperture.cli import new_session
 from chromaperture.cli.console import forget_warnings, say_error, show_warning
+from chromaperture.cli.options import Command, Commands
 from chromaperture.cli.simulate import simulate_rgbd
 from chromaperture.cli.terminal import stop_on_signals
 from chromaperture.system.errors import FREE_MEMORY, CaptureWarning, ChromapertureError, lacks_memory
 
 app = typer.Typer(
+    cls=Commands,
     help="Depth in millimetres from one photograph through a colour-coded aperture.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -31,10 +33,10 @@ _COMMANDS = (
     "sources", "record", "export", "reconstruct", "live", "serve", "view", "compare",
 )  # fmt: skip
 for name in _COMMANDS:  # each is a function in a module of its own name
-    app.command()(getattr(importlib.import_module(f"chromaperture.cli.{name}"), name))
+    app.command(cls=Command)(getattr(importlib.import_module(f"chromaperture.cli.{name}"), name))
 for entry in entry_points(group="chromaperture.commands"):  # of packages beside this one
-    app.command(entry.name)(entry.load())
-app.command("simulate-rgbd")(simulate_rgbd)
+    app.command(entry.name, cls=Command)(entry.load())
+app.command("simulate-rgbd", cls=Command)(simulate_rgbd)
 app.add_typer(new_session.app, name="session")
 
 

@@ -7,13 +7,23 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.options import BOARDS_PANEL, CAMERA_PANEL, FarthestMm, Mosaic, NearestMm, Quiet, inner_corners
+from chromaperture.cli.options import (
+    BOARDS_PANEL,
+    CAMERA_PANEL,
+    Command,
+    Commands,
+    FarthestMm,
+    Mosaic,
+    NearestMm,
+    Quiet,
+    inner_corners,
+)
 from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
     from chromaperture.color.encoding import StatedFacts
 
-app = typer.Typer(help="Prepare a calibration session.", no_args_is_help=True)
+app = typer.Typer(cls=Commands, help="Prepare a calibration session.", no_args_is_help=True)
 
 
 @app.callback()
@@ -21,7 +31,7 @@ def _session() -> None:
     """Prepare a calibration session."""
 
 
-@app.command()
+@app.command(cls=Command)
 def new(
     folder: Annotated[
         Path, typer.Argument(help="Folder of the session; made where it does not exist.", metavar="FOLDER")

@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
+from chromaperture.depth.error_limit import checked_limit
 from chromaperture.system.errors import CaptureWarning, InputError
 
 if TYPE_CHECKING:
@@ -19,9 +21,29 @@ if TYPE_CHECKING:
     from chromaperture.camera.camera import CodedApertureCamera
     from chromaperture.capture.source import Frame
 
+class _PlainSwitches:
+    """Switches show no type in the help: they take no value."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters."""
+        parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for parameter in parameters:
+            if getattr(parameter, "is_flag", False):
+                parameter.metavar = ""
+        return parameters
+
+
+class Command(_PlainSwitches, TyperCommand):
+    """A command."""
+
+
+class Commands(_PlainSwitches, TyperGroup):
+    """A group of commands."""
+
 
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but warnings and errors.")]
 Anyway = Annotated[bool, typer.Option("--anyway", help="Measure even through a film that is not the camera's.")]
+Verbose = Annotated[bool, typer.Option("--verbose", help="Print the time of every stage, too.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the figures as JSON.")]
 
 
@@ -52,13 +74,12 @@ Design = Annotated[
         autocompletion=_design_names,
     ),
 ]
-Quality = Annotated[
-    str,
-    typer.Option(
-        help="paper, real-time, or accurate, which takes about 8 s a megapixel.",
-        autocompletion=lambda: ["paper", "real-time", "accurate"],
-    ),
-]
+_QUALITY = typer.Option(
+    help="accurate, the default of photographs, which takes seconds of each; real-time, that of streams; or paper.",
+    autocompletion=lambda: ["paper", "real-time", "accurate"],
+)
+Quality = Annotated[str, _QUALITY]
+PhotographQuality = Annotated[str | None, _QUALITY]  # None: the best that the camera was calibrated for
 Device = Annotated[
     str,
     typer.Option(
@@ -104,7 +125,10 @@ Primaries = Annotated[
 ]
 MaxRelativeSigma = Annotated[
     float,
-    typer.Option(help="Largest sigma/depth in what carries no error bar (points, PNG, TUM, MCAP); inf keeps all."),
+    typer.Option(
+        help="Largest sigma/depth in what carries no error bar (points, PNG, TUM, MCAP); inf keeps all.",
+        callback=checked_limit,  # before the work
+    ),
 ]
 
 Frames = Annotated[int | None, typer.Option(min=1, help="Stop after so many frames.")]

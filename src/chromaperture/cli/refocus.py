@@ -19,7 +19,7 @@ from chromaperture.cli.options import (
     Design,
     Device,
     Json,
-    Quality,
+    PhotographQuality,
     Quiet,
     WhiteLevel,
     check_film,
@@ -69,7 +69,7 @@ def refocus(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="Picture to write; default PHOTO.refocus.png.", metavar="FILE")
     ] = None,
-    quality: Quality = "accurate",
+    quality: PhotographQuality = None,
     device: Device = "auto",
     anyway: Anyway = False,
     black_level: BlackLevel = None,
@@ -94,14 +94,12 @@ def refocus(
     request = _Request(focus_mm, pixel, sweep, f_number, strength, bokeh, background, sharpness, target)
     _check(request)  # before the minute of work
     check_output(target, inputs=[photo, camera, Path(bokeh)])
-    if quality == "accurate" and camera is None:
-        quality = "real-time"  # the accurate one needs a calibration
     eye = camera_for(photo, camera, design, quality=quality, config=None, device=device)
     if eye.shows_frame_at(size := image_size(photo)):  # also of another size than the calibration's
         eye = eye.at_size(*size)
     pupil = pupil_strength(eye, f_number, strength)
     _check_focus(eye, focus_mm, pixel)
-    compile_kernels(quality, quiet=quiet)
+    compile_kernels(eye.config.quality, quiet=quiet)
     announce_duration(eye, 1, quiet=quiet)
     with progress(quiet=quiet) as update:
         update(f"{photo.name}: depth", 0, 3)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 from chromaperture.camera.camera import CodedApertureCamera
-from chromaperture.camera.method import default_config
+from chromaperture.camera.method import default_config, photograph_quality
 from chromaperture.capture.files import image_size
 from chromaperture.capture.open import open_source
 from chromaperture.capture.source import Source
@@ -25,7 +25,7 @@ def camera_for(
     camera: Path | None,
     design: str | None,
     *,
-    quality: str,
+    quality: str | None,
     config: Path | None,
     scale: int | Literal["auto"] = "auto",
     crop_origin_px: tuple[int, int] | None = None,
@@ -43,7 +43,8 @@ def camera_for(
         calibration = with_stated(uncalibrated, stated)
     if crop_origin_px is not None and camera is None:
         raise InputError("--crop-origin is a place in the frame of a calibrated camera: give its file with --camera")
-    settings = replace(default_config(calibration, cast(Quality, quality), scale=scale), crop_origin_px=crop_origin_px)
+    chosen = cast(Quality, quality) if quality else photograph_quality(calibration)
+    settings = replace(default_config(calibration, chosen, scale=scale), crop_origin_px=crop_origin_px)
     return CodedApertureCamera(calibration, settings if config is None else with_file(settings, config), device=device)
 
 

@@ -16,6 +16,13 @@ if TYPE_CHECKING:
 MAX_RELATIVE_SIGMA = 0.10
 
 
+def checked_limit(max_relative_sigma: float) -> float:
+    """Return a limit of sigma / depth; raises InputError for what is not positive."""
+    if not max_relative_sigma > 0:
+        raise InputError(f"the largest relative sigma must be positive, got {max_relative_sigma:g}")
+    return max_relative_sigma
+
+
 def within_error(
     depth_mm: np.ndarray, sigma_mm: np.ndarray, max_relative_sigma: float = MAX_RELATIVE_SIGMA
 ) -> np.ndarray:
@@ -36,8 +43,7 @@ def within_error(
     InputError
         The limit is not positive.
     """
-    if not max_relative_sigma > 0:
-        raise InputError(f"the largest relative sigma must be positive, got {max_relative_sigma:g}")
+    checked_limit(max_relative_sigma)
     import numpy as np  # here: the command line reads the constant above, and shows its help without NumPy
 
     from chromaperture.system.threads import each_band

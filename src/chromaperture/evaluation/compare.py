@@ -18,6 +18,8 @@ from chromaperture.settings.methods import Quality
 from chromaperture.system.errors import InputError
 
 SHARES_PERCENT = (1, 2, 5)
+# Maps of one view that are so many times as far are in different units: cm, 0.1 mm or m, TUM's and 7-Scenes' counts.
+_UNIT_RATIOS, _NEAR_RATIO = (4.0, 5.0, 10.0, 100.0, 1000.0), 0.1  # the last: relative; both chosen by hand
 _MAD = 0.6745  # median of |x| of a normal distribution of standard deviation 1
 _GRID, _DISTANCES = 33, 24  # a side, of positions in the frame, and distances; chosen by hand, 0.1 s
 
@@ -60,11 +62,21 @@ def compare_depth(a: StoredDepth, b: StoredDepth) -> DepthComparison:
         "known_share": {"a": float(in_a.mean()), "b": float(in_b.mean()), "both": float(both.mean())},
         "difference_mm": _spread(difference[both]),
         "difference_percent": _spread(percent[both]),
+        "unit_ratio": _unit_ratio(float(np.median(b.depth_mm[both] / a.depth_mm[both]))),
         "within": _shares(percent, in_a, both),
         "error_bars": _honesty(in_sigmas, "".join(name for name, _ in sigmas)),
         "by_distance": _by_distance(a.depth_mm, percent, in_sigmas, in_a, both),
     }
     return DepthComparison(a, b, percent, in_sigmas, figures)
+
+
+def _unit_ratio(ratio: float) -> float | None:
+    """Return by how much the units of the maps seem to differ, B over A; None where they seem the same."""
+    for factor in _UNIT_RATIOS:
+        for expected in (factor, 1 / factor):
+            if abs(ratio / expected - 1) < _NEAR_RATIO:
+                return expected
+    return None
 
 
 def _spread(values: np.ndarray) -> dict[str, float]:
@@ -270,7 +282,12 @@ def _percent(share: float) -> str:
 def _depth_sentences(figures: dict[str, Any]) -> list[str]:
     known, within, spread = figures["known_share"], figures["within"], figures["difference_percent"]
     shares = ", ".join(f"{_percent(within[f'{n}_percent']['of_known_in_a'])} within {n} %" for n in SHARES_PERCENT)
-    sentences = [
+    ratio = figures["unit_ratio"]
+    sentences = [] if ratio is None else [
+        f"B's distances are {ratio:g} times those of A: one of them seems not to be in mm. State its unit in the name "
+        "of its file, such as NAME.depth_0.1mm.png or NAME.depth_m.tiff, and compare again."
+    ]  # fmt: skip
+    sentences += [
         f"Of the pixels that A knows, B has {shares}; those that B does not know count as wrong.",
         f"B is {abs(spread['median']):.2f} % {'farther' if spread['median'] > 0 else 'nearer'} in the median; half of "
         f"the pixels differ by less than {spread['median_absolute']:.2f} % "

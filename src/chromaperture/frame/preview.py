@@ -15,6 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from chromaperture.color.color_maps import DISTANCE, ERROR, draw_levels
 from chromaperture.color.srgb import linear_to_srgb_bytes
+from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.files.pictures import write_png
 from chromaperture.frame.depth_frame import DepthFrame
 
@@ -25,6 +26,7 @@ _WIDTH, _MARGIN, _HEADING, _TITLE = 1408, 16, 28, 44
 _BAR_WIDTH, _BAR_SPACE = 14, 92  # the colour bar, and it with its labels
 _LARGEST = ((_WIDTH - 4 * _MARGIN - _BAR_SPACE) // 2, 900)  # width and height of one picture
 _TEXT_SIZE, _TITLE_SIZE = 14, 18
+_ENDS = "near", "far"
 _TICKS = 7  # at most, on a colour bar
 
 
@@ -38,6 +40,7 @@ class ColorScale:
     colors: str  # of `color_maps`
     unit: str
     open_below: bool = True  # whether values below ``low`` exist; those above ``high`` always may
+    ends: tuple[str, str] = ("", "")  # what the first and the last colour mean
 
     def picture(self, values: np.ndarray) -> np.ndarray:
         """Colour a map (H, W), NaN unknown; (H, W, 3) uint8 sRGB."""
@@ -57,17 +60,22 @@ def depth_scale(
     """Return the map to show, its colours and title: depth over a range, or disparity where depth is unknown."""
     if frame.valid.any():
         low, high = _apart(*(depth_range_mm or middle_range(frame.depth_mm, 2)))
-        return frame.depth_mm, ColorScale(low, high, DISTANCE, "mm"), "depth from the sensor plane"
+        return frame.depth_mm, ColorScale(low, high, DISTANCE, "mm", ends=_ENDS), "depth from the sensor plane"
     low, high = _apart(*middle_range(frame.disparity_px, 1))
     title = "disparity (0 in focus, + beyond); depth needs a calibration"
-    return frame.disparity_px, ColorScale(low, high, DISTANCE, "px"), title
+    return frame.disparity_px, ColorScale(low, high, DISTANCE, "px", ends=_ENDS), title
 
 
-def error_scale(frame: DepthFrame) -> tuple[np.ndarray, ColorScale, str]:
-    """Return the error bar of what `depth_scale` returns."""
-    values, unit = (frame.sigma_mm, "mm") if frame.valid.any() else (frame.disparity_sigma_px, "px")
-    scale = ColorScale(*_apart(0.0, middle_range(values, 10)[1]), ERROR, unit, open_below=False)
-    return values, scale, "error bar (one standard deviation)"
+def error_scale(
+    frame: DepthFrame, depth_range_mm: tuple[float, float] | None = None
+) -> tuple[np.ndarray, ColorScale, str]:
+    """Return the error bar of what `depth_scale` returns; frames of one range of depth have the same colours."""
+    title = "error bar (one standard deviation)"
+    if not frame.valid.any():
+        highest = middle_range(frame.disparity_sigma_px, 10)[1]
+        return frame.disparity_sigma_px, ColorScale(*_apart(0.0, highest), ERROR, "px", open_below=False), title
+    farthest = depth_scale(frame, depth_range_mm)[1].high
+    return frame.sigma_mm, ColorScale(0.0, MAX_RELATIVE_SIGMA * farthest, ERROR, "mm", open_below=False), title
 
 
 def reduced(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
@@ -146,7 +154,7 @@ def write_preview(
     )
     for place, (values, scale, name) in (
         ((right, top), depth_scale(frame, depth_range_mm)),
-        ((right, below), error_scale(frame)),
+        ((right, below), error_scale(frame, depth_range_mm)),
     ):
         small = reduced(values, size)
         note = "; grey is unknown" if np.isnan(small).any() else ""
@@ -177,7 +185,9 @@ def _bar(draw: ImageDraw.ImageDraw, place: tuple[int, int], height: int, scale: 
         tick = bottom - (value - scale.low) / (scale.high - scale.low) * (bottom - top)
         draw.line([(right, tick), (right + 5, tick)], _LIGHT)
         draw.text((right + 9, tick), f"{value:.6g}", _LIGHT, font, anchor="lm")
-    draw.text((right + 9, y - _HEADING / 2), scale.unit, _LIGHT, font, anchor="lm")
+    near, far = scale.ends
+    draw.text((right + 9, y - _HEADING / 2), ", ".join(filter(None, (far, scale.unit))), _LIGHT, font, anchor="lm")
+    draw.text((right + 9, y + height + _MARGIN / 2), near, _LIGHT, font, anchor="lm")
 
 
 def middle_range(values: np.ndarray, percent: float) -> tuple[float, float]:

@@ -21,6 +21,8 @@ _HEADER_BYTES = 65_536  # of a PLY file: ours have 400
 _PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "<i2", "ushort": "<u2", "int": "<i4", "uint": "<u4",
               "float": "<f4", "double": "<f8", "int8": "i1", "uint8": "u1", "int16": "<i2", "uint16": "<u2",
               "int32": "<i4", "uint32": "<u4", "float32": "<f4", "float64": "<f8"}  # fmt: skip
+_UNIT = re.compile(r"(?:^|[._-])depth_(\d+(?:\.\d+)?)?(mm|cm|m)$")  # that a file's name states: "x.depth_0.1mm.png"
+_UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,10 @@ def stem_and_output(path: Path) -> tuple[str, str | None]:
 
 
 def read_depth(path: str | Path, *, name: str | None = None) -> StoredDepth:
-    """Read a depth map in mm (TIFF, PNG, .npy, EXR), named for messages, with the error bar beside it."""
+    """Read a depth map (TIFF, PNG, .npy, EXR), named for messages, with the error bar beside it.
+
+    It is in mm, or in the unit that the file's name states before its suffix: ``depth_0.1mm``, ``depth_m``.
+    """
     path = Path(path)
     stem, output = stem_and_output(path)
     if output == "exr":
@@ -117,11 +122,14 @@ def _map(path: Path) -> np.ndarray:
         raise InputError(f"{path.name} is no map: give a float TIFF, a 16-bit PNG in mm, or a NumPy array (.npy)")
     if values.ndim != 2 or values.size == 0:
         raise InputError(f"{path.name} holds an array of shape {values.shape}; a map has one value a pixel")
-    if values.dtype.kind == "u":  # pictures of counts: 0 is unknown, as RealSense and TUM write it
-        return np.where(values == 0, np.float32(np.nan), values.astype(np.float32))
-    if values.dtype.kind != "f":
+    if values.dtype.kind not in "uf":
         raise InputError(f"{path.name} holds {values.dtype} values; give float or 16-bit counts")
-    return values.astype(np.float32)
+    stated = _UNIT.search(path.stem)
+    unit_mm = float(stated[1] or 1) * _UNITS_MM[stated[2]] if stated else 1.0
+    in_mm = values.astype(np.float32) * np.float32(unit_mm)
+    if values.dtype.kind == "u":  # pictures of counts: 0 is unknown, as RealSense and TUM write it
+        in_mm[values == 0] = np.nan
+    return in_mm
 
 
 def _array(path: Path) -> np.ndarray:

@@ -23,7 +23,7 @@ def samples() -> tuple[str, ...]:
 
 
 def open_sample(
-    name: str = SAMPLES[0], *, quality: Quality = "real-time", device: str = "auto"
+    name: str = SAMPLES[0], *, quality: Quality | None = None, device: str = "auto"
 ) -> tuple[CodedApertureCamera, np.ndarray]:
     """Open a bundled capture: its camera, and the photograph as linear RGB, (H, W, 3) float32.
 
@@ -31,9 +31,9 @@ def open_sample(
     ----------
     name : str
         One of `SAMPLES`.
-    quality : {"paper", "real-time", "accurate"}
+    quality : {"paper", "real-time", "accurate"}, optional
+        As `load_camera`, and so ``device``.
     device : str
-        As `load_camera`.
 
     Raises
     ------
