@@ -5,6 +5,7 @@ import hashlib
 import shutil
 from dataclasses import asdict, replace
 from functools import partial
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -15,7 +16,8 @@ from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.chessboard import board_points, fit_intrinsics
 from chromaperture.calibration.curves import curve_without_blur, weaknesses
 from chromaperture.calibration.fit_fields import check_scale, fit_depth_model
-from chromaperture.calibration.options import CalibrationConfig
+from chromaperture.calibration.options import Cache, CalibrationConfig, silent
+from chromaperture.calibration.place_boards import Pinhole, measure_pinhole, place_boards
 from chromaperture.calibration.session import read_session
 from chromaperture.calibration.white_sheets import measure_white_sheets
 from chromaperture.color.unmixing import own_film_unmixing
@@ -23,6 +25,7 @@ from chromaperture.depth.field import DepthField
 from chromaperture.evaluation import verdict
 from chromaperture.matching.views import view_spaces
 from chromaperture.model.camera_file import Calibration
+from chromaperture.model.camera_parts import CameraSensor
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.pinhole import PupilCamera
 from chromaperture.settings.methods import preset
@@ -88,7 +91,7 @@ def distances(rulers_mm):
         ({"distances__csv": distances(r / 1000 for r in RULERS_MM)}, "like m,"),
         ({"session__toml": "design = ["}, r"session\.toml"),
         ({"distances__csv": "file,ruler_cm\nboard/1150.png,115\n"}, "ruler_mm"),
-        ({"distances__csv": "file,ruler_mm\nboard/1150.png,far\n"}, "ruler_mm"),
+        ({"distances__csv": "file,ruler_mm\nboard/1150.png,far\n"}, "'far' is no distance"),
         ({"distances__csv": "file,ruler_mm\nboard/9999.png,9999\n"}, r"9999\.png"),
         ({"distances__csv": "file,ruler_mm\nboard/1150.png,1150\nboard/1400.png,1400\n"}, "2 usable boards"),
         ({"distances__csv": distances(RULERS_MM[::-1])}, "swapped"),
@@ -133,14 +136,76 @@ def test_a_saturated_white_sheet_is_refused(session, tmp_path, clipped):
         measure_white_sheets(read_session(folder))
 
 
+@pytest.mark.parametrize(
+    "text",
+    ["\ufefffile;ruler_mm\nboard/1150.png;1150,5\n", "file\truler_mm\nboard/1150.png\t1150.5\n",
+     'file, ruler_mm\nboard/1150.png, "1150,5"\n'],
+)  # fmt: skip
+def test_tables_of_spreadsheets_are_read(session, tmp_path, text):
+    boards = read_session(copy_with(session, tmp_path, distances__csv=text)).boards
+    assert {path.name: ruler for path, ruler in boards.items()} == {"1150.png": 1150.5}
+
+
+@pytest.mark.parametrize(
+    ("row", "word"),
+    [(",1150,5", "line 2 has more values than columns; write 1000.5"), (';"1,150"', "without a mark"),
+     (",45 in", "'45 in' is no distance in mm")],
+)  # fmt: skip
+def test_numbers_that_may_mean_two_things_are_refused(session, tmp_path, row, word):
+    text = f"file{row[0]}ruler_mm\nboard/1150.png{row}\n"
+    with pytest.raises(InputError, match=word):
+        read_session(copy_with(session, tmp_path, distances__csv=text))
+
+
+def test_squares_that_were_counted_for_corners_are_said(session, tmp_path):
+    text = SESSION_TOML.replace("[9, 6]", "[10, 7]")
+    counted = read_session(copy_with(session, tmp_path, session__toml=text))
+    board = np.full((108, 144), 40_000, np.uint16)
+    board[12:96, 12:132] = np.kron(np.indices((7, 10)).sum(axis=0) % 2, np.full((12, 12), 35_000)) + 4000
+    for path in counted.boards:
+        assert cv2.imwrite(str(path), np.dstack([board, board - 3000, board - 1500]))
+    with pytest.raises(InputError, match=r"inner_corners = \[9, 6\]"):
+        measure_pinhole(counted, None, cache=Cache(None), progress=silent)
+
+
+@pytest.mark.parametrize("printed", [1.0, 0.96])
+def test_a_board_that_was_not_printed_at_its_size_is_said(session, rng, printed):
+    """Tilted boards tell the focal length whatever the squares; rulers then tell the squares."""
+    size, focal_px = (720, 480), 1650.0
+    matrix = np.array([[focal_px, 0, 359.5], [0, focal_px, 239.5], [0, 0, 1]])
+    stated = replace(
+        read_session(session), sensor=CameraSensor(*size, 0.031, 0.0, 65535.0), square_mm=30.0,
+        boards={Path(f"{mm}.png"): float(mm) for mm in (1200, 1600, 2100, 2800)},
+        tilts=tuple(Path(f"t{i}.png") for i in range(10)),
+    )  # fmt: skip
+    grid = board_points(stated.inner_corners, 30.0 * printed)
+    grid = grid - grid.mean(axis=0)
+
+    def corners(turn, distance_mm):
+        seen, _ = cv2.projectPoints(grid, np.array(turn), np.array([0.0, 0.0, distance_mm]), matrix, np.zeros(5))
+        return (seen.reshape(-1, 2) + rng.normal(0, 0.05, (len(grid), 2))).astype(np.float32)
+
+    found = {path: corners((0.35 * np.sin(i), 0.4 * np.cos(i), 0.1), 1700.0) for i, path in enumerate(stated.tilts)}
+    found |= {path: corners((0.0, 0.0, 0.0), ruler - 50.0) for path, ruler in stated.boards.items()}  # from the pupil
+    intrinsics = fit_intrinsics([found[path] for path in stated.tilts], size, stated.inner_corners, stated.square_mm)
+    placed = place_boards(stated, Pinhole(intrinsics, found, ()), CalibrationConfig())
+    assert placed.square_mm == pytest.approx(30.0 * printed, rel=0.01)  # the focal length is good to .3 %
+    assert placed.intrinsics.camera_matrix[0, 0] == pytest.approx(focal_px, rel=0.01)
+    assert any("your squares are 28.8 mm" in note for note in placed.notes) == (printed < 1)
+
+
 @pytest.mark.slow
-def test_a_board_off_its_ruler_is_named_and_left_out(session, tmp_path):
-    rows = distances(r + 260 * (r == 1800) for r in RULERS_MM)
+@pytest.mark.parametrize(("board", "wrong_mm"), [(1800, 2060), (RULERS_MM[0], 1000)])
+def test_a_board_off_its_ruler_is_named_and_left_out(session, tmp_path, board, wrong_mm):
+    rows = distances(wrong_mm if r == board else r for r in RULERS_MM)
     result = calibrated(copy_with(session, tmp_path, distances__csv=rows))
-    assert list(result.outliers) == ["1800.png"]
-    assert any("1800.png" in note and "off its ruler" in note for note in result.notes)
+    assert list(result.outliers) == [f"{board}.png"]
+    assert any(f"{board}.png" in note and "off its ruler" in note for note in result.notes)
     assert result.evidence.used.sum() == len(RULERS_MM) - 1
     assert result.calibration.in_focus_mm == pytest.approx(IN_FOCUS_MM, abs=20)  # four boards are left
+    used = [ruler for ruler in RULERS_MM if ruler != board]
+    assert result.calibration.near_mm == min(used) * result.config.range_margin[0]
+    assert result.calibration.far_mm == max(used) * result.config.range_margin[1]
 
 
 @pytest.mark.slow

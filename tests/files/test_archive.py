@@ -303,6 +303,8 @@ def test_folders_patterns_and_lists_name_photographs_without_results(tmp_path):
     names = tmp_path / "list.txt"
     names.write_text("a b.png\n\n  s3://bucket/c.png\r\n", encoding="utf-8")
     assert archive_store.names_in_list(names) == ["a b.png", "s3://bucket/c.png"]
+    names.write_bytes("ä.png\r\n".encode("utf-16"))  # by PowerShell: `ls > list.txt`
+    assert archive_store.names_in_list(names) == ["ä.png"]
 
 
 @pytest.mark.extra("cluster", "fsspec")
@@ -324,7 +326,7 @@ def test_wrong_use_is_one_line(run, tmp_path, monkeypatch):
     wrong = {
         "give photographs": (),
         "no names": ("--files-from", tmp_path / "empty.txt"),
-        "cannot read the list": ("--files-from", tmp_path / "bytes.txt"),
+        "not UTF-8 text": ("--files-from", tmp_path / "bytes.txt"),
         "give its scheduler with --cluster": ("s3://bucket/photo.png",),
         "same files": (image, image, *address),
         "no Dask scheduler|pip install": (image, *address),

@@ -174,6 +174,7 @@ def test_depth_estimates_before_it_measures(run, tmp_path):
         cv2.imwrite(str(tmp_path / f"small{i}.png"), np.full((40, 60, 3), 9000, np.uint16))
     result = run("depth", tmp_path, "--camera", sample_camera(SAMPLES[0]))
     assert result.returncode == 2
-    estimate, error, *_ = [line for line in result.stderr.splitlines() if not line.startswith(("warning:", "Compiling"))]
+    lines = [line for line in result.stderr.splitlines() if not line.startswith(("warning:", "Compiling"))]
+    estimate, error, *_ = lines
     assert "an estimate" in estimate
     assert error.startswith("error:")

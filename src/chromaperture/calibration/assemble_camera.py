@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -40,8 +40,12 @@ def assemble_camera(
     *,
     blur: BlurModel | None = None,
     channel_moves_px: np.ndarray | None = None,
+    rulers_mm: Sequence[float] = (),
 ) -> Calibration:
-    """Put the results of the steps together; without intrinsics the pinhole is the nominal one."""
+    """Put the results of the steps together; without intrinsics the pinhole is the nominal one.
+
+    ``rulers_mm``: of the boards that were used, for the working range; all that the session states when absent.
+    """
     sensor = sheets.sensor
     if intrinsics is None:
         focal_px = float(nominal_depth_model(session).sensor_to_pupil_mm) / sensor.pixel_pitch_mm
@@ -51,7 +55,7 @@ def assemble_camera(
         image_distance_mm=float(intrinsics.camera_matrix[0, 0]) * sensor.pixel_pitch_mm,
         pixel_pitch_mm=sensor.pixel_pitch_mm,
     )
-    rulers = list(session.boards.values()) or [session.focused_at_about_mm]
+    rulers = list(rulers_mm) or list(session.boards.values()) or [session.focused_at_about_mm]
     return Calibration(
         design=session.design,
         sensor=sensor,

@@ -116,6 +116,7 @@ def calibrate_session(
     session, tone_notes = with_response(session, pinhole.corners)
     sheets = measure_white_sheets(session)
     placed = place_boards(session, pinhole, config)
+    session = dataclasses.replace(session, square_mm=placed.square_mm)
     nominal = dict.fromkeys(QUALITIES, DepthField.constant(nominal_depth_model(session)))
     draft = assemble_camera(session, sheets, placed.intrinsics, nominal, config)
     boards = measure_boards(session, draft, pinhole, placed, cache=cache, progress=progress)
@@ -139,7 +140,14 @@ def calibrate_session(
     fits = {quality: curve.fit for quality, curve in curves.items()}
     result = CalibrationResult(
         calibration=assemble_camera(
-            session, sheets, placed.intrinsics, depth, config, blur=blurred.camera.blur, channel_moves_px=moves
+            session,
+            sheets,
+            placed.intrinsics,
+            depth,
+            config,
+            blur=blurred.camera.blur,
+            channel_moves_px=moves,
+            rulers_mm=[board.ruler_mm for board, is_used in zip(boards, evidence.used, strict=True) if is_used],
         ),
         fits=fits,
         notes=(*tone_notes, *chain(*of_steps), *_weaknesses(session, evidence, fits)),

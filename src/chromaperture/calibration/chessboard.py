@@ -44,6 +44,7 @@ class Intrinsics:
     camera_matrix: np.ndarray  # (3, 3) float64, px
     distortion: np.ndarray  # (5,) float64, OpenCV's k1, k2, p1, p2, k3
     rms_px: float  # reprojection error over all corners
+    focal_sigma: float = math.inf  # of the focal length, relative: one standard deviation; inf where it was not fitted
 
 
 def find_corners(plane: np.ndarray, inner_corners: tuple[int, int]) -> np.ndarray | None:
@@ -122,12 +123,14 @@ def fit_intrinsics(
     for flags, numbers in _MODELS:
         guess = centered_pinhole(_START_FOCAL * max(image_size), image_size)
         with limited_opencv_threads(1):
-            rms, matrix, distortion, *_ = cv2.calibrateCamera(
+            rms, matrix, distortion, _, _, sigmas, *_ = cv2.calibrateCameraExtended(
                 [grid] * len(views), views, image_size, guess, np.zeros(5), flags=flags
             )
         criterion = 2 * samples * np.log(max(rms, _PERFECT_PX)) + numbers * np.log(samples)
         if criterion < least:
-            best, least = Intrinsics(matrix, distortion.ravel()[:5].astype(float), float(rms)), criterion
+            focal_sigma = float(sigmas[1, 0] / matrix[1, 1])  # of y: that of x is fixed to it, and stated as 0
+            best = Intrinsics(matrix, distortion.ravel()[:5].astype(float), float(rms), focal_sigma)
+            least = criterion
     assert best is not None
     return best
 

@@ -9,6 +9,7 @@ import contextlib
 import csv
 import math
 import os
+import re
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -286,11 +287,18 @@ class _SessionTable(Table):
 def _distances(folder: Path) -> dict[Path, float]:
     """Read ``distances.csv``: photographs of boards and their distances by ruler, mm."""
     table = folder / "distances.csv"
-    rows = csv.DictReader(read_text(table, most_bytes=_MOST_CSV_BYTES).splitlines())
+    lines = read_text(table, most_bytes=_MOST_CSV_BYTES).splitlines()
+    separator = next((mark for mark in ";\t" if lines and mark in lines[0]), ",")  # spreadsheets write either
+    rows = csv.DictReader(lines, delimiter=separator, skipinitialspace=True)
+    boards: dict[Path, float] = {}
     try:
-        boards = {folder / row["file"]: float(row["ruler_mm"]) for row in rows}
-    except (KeyError, TypeError, ValueError, csv.Error):
-        raise InputError(f"{table} must have the columns file,ruler_mm with distances in mm") from None
+        for row in rows:
+            if None in row:
+                where = f"{table}: line {rows.line_num}"
+                raise InputError(f"{where} has more values than columns; write 1000.5, not 1000,5")
+            boards[folder / row["file"]] = _ruler_mm(row["ruler_mm"], f"{table}: line {rows.line_num}")
+    except (KeyError, TypeError, AttributeError, csv.Error):
+        raise InputError(f"{table} must have the columns file{separator}ruler_mm with distances in mm") from None
     for path, ruler_mm in boards.items():
         if not 0 < ruler_mm < math.inf:
             raise InputError(f"{table}: the distance of {quoted(path.name)} must be positive, in mm, is {ruler_mm:g}")
@@ -298,6 +306,16 @@ def _distances(folder: Path) -> dict[Path, float]:
     if missing:
         raise InputError(f"{table} names photographs that are not there: {', '.join(missing[:5])}")
     return boards
+
+
+def _ruler_mm(text: str, where: str) -> float:
+    """Convert a distance, whose decimal mark may be a comma."""
+    if re.fullmatch(r"\s*\d{1,3}[,']\d{3}\s*", text):  # 1,250 is 1250 to some and 1.25 to others
+        raise InputError(f"{where}: write {text.strip()!r} without a mark between the digits")
+    try:
+        return float(text.replace(",", "."))
+    except ValueError:
+        raise InputError(f"{where}: {text.strip()!r} is no distance in mm") from None
 
 
 def check_units(ruler_mm: np.ndarray, expected_mm: np.ndarray | float, *, where: str) -> None:

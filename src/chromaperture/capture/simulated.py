@@ -22,6 +22,7 @@ from chromaperture.system.errors import InputError
 
 _KINECT = 585 / 640  # focal length over width, of a Kinect
 _PITCH_MM = 0.02  # has no effect on the picture: geometry is in px
+_TUM_UNIT_MM = 0.2  # 5000 counts a metre
 _TURN = 48  # frames per turn of the path through a scene; chosen by hand, not tuned
 
 
@@ -41,7 +42,7 @@ class SimulatedSource(FileSource):
     pupil_radius_mm: float = 12.5
     focus_mm: float = 2000.0
     sensor_to_pupil_mm: float = 50.0
-    depth_unit_mm: float = 1.0
+    depth_unit_mm: float | None = None  # default 0.2 in a TUM RGB-D sequence, which has depth.txt, else 1
     exposure: float = 0.9
     orbit_mm: float = 100.0  # radius of the circle through a scene
     width: int = 640  # of pictures of a scene
@@ -70,9 +71,10 @@ class SimulatedSource(FileSource):
         yield from self._through_scene() if self.path.suffix == ".toml" else self._through_pictures()
 
     def _through_pictures(self) -> Iterator[Frame]:
+        unit_mm = self.depth_unit_mm or (_TUM_UNIT_MM if (self.path / "depth.txt").is_file() else 1.0)
         for index, (color, depth) in enumerate(self.pairs):
             picture, depth_mm = read_rgbd(
-                color, depth, depth_unit_mm=self.depth_unit_mm, sensor_to_pupil_mm=self.sensor_to_pupil_mm
+                color, depth, depth_unit_mm=unit_mm, sensor_to_pupil_mm=self.sensor_to_pupil_mm
             )
             camera = self._camera(depth_mm.shape[1], depth_mm.shape[0])
             light = render_layers(picture, depth_mm, camera=camera, aperture=load_made(self.design, self.film)).image

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from chromaperture.camera.camera import CodedApertureCamera
     from chromaperture.capture.source import Frame
 
+
 class _PlainSwitches:
     """Switches show no type in the help: they take no value."""
 

@@ -6,6 +6,7 @@ import contextlib
 import glob
 import hashlib
 import json
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -13,6 +14,7 @@ from urllib.parse import unquote, urlsplit
 
 from chromaperture.capture.shots import counted, one_of_each
 from chromaperture.system.errors import ChromapertureError, InputError, needed
+from chromaperture.system.validation import as_text
 
 # Stores where an object appears whole when its upload ends, so that it needs no temporary name.
 _WHOLE_OBJECTS = {"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "oci", "memory"}
@@ -78,8 +80,8 @@ def find_photographs(
 def names_in_list(path: Path) -> list[str]:
     """Read names of photographs from a text file, one a line; ``-`` is standard input; raises InputError."""
     try:
-        text = Path("/dev/stdin" if str(path) == "-" else path).read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:  # ValueError: not UTF-8
+        text = as_text(sys.stdin.buffer.read() if str(path) == "-" else path.read_bytes(), path)
+    except OSError as error:
         raise InputError(f"cannot read the list {path} ({error}); give a text file with one name a line") from None
     names = [line.strip() for line in text.splitlines() if line.strip()]
     if not names:

@@ -5,6 +5,7 @@ Pydantic checks types, ranges and keys; a message names the file, the key, what 
 
 from __future__ import annotations
 
+import codecs
 import difflib
 import math
 import os
@@ -68,10 +69,14 @@ def read_bytes(path: str | Path, *, most_bytes: int) -> bytes:
 
 
 def read_text(path: str | Path, *, most_bytes: int) -> str:
-    """Read a text file in UTF-8; raises InputError like `read_bytes`, and where it is in another encoding."""
-    data = read_bytes(path, most_bytes=most_bytes)
+    """Read a text file; raises InputError like `read_bytes` and `as_text`."""
+    return as_text(read_bytes(path, most_bytes=most_bytes), path)
+
+
+def as_text(data: bytes, path: str | Path) -> str:
+    """Decode UTF-8, or UTF-16 that says so, as PowerShell writes it; raises InputError for another encoding."""
     try:
-        return data.decode("utf-8-sig")
+        return data.decode("utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig")
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
         raise InputError(f"{quoted(path)} is not UTF-8 text (line {line}): save it again with this encoding") from None
