@@ -107,6 +107,15 @@ def same(counts):
     return counts
 
 
+def test_counts_of_fewer_bits_than_the_file_are_not_called_dark_light(tmp_path, rendered):
+    """The rendered photographs are of a 10-bit camera; FACTS of this session do not state its white level."""
+    facts = {name: value for name, value in FACTS.items() if name not in ("white_level", "black_level")}
+    session = SessionFolder.create(tmp_path / "s", facts)
+    found = check_shot(session, rendered / "board" / "2000.png", "board", ruler_mm=2000)
+    advice = next(check.advice for check in found.checks if check.name == "exposure")
+    assert "a camera of 10 bits? Then set white_level = 1023" in advice
+
+
 @pytest.mark.parametrize(
     ("name", "change", "options", "problem"),
     [

@@ -14,6 +14,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from chromaperture.calibration.session import read_session
 from chromaperture.cli.apertures import apertures
 from chromaperture.cli.simulate import simulate, simulate_rgbd
 from chromaperture.optics.aperture import DESIGNS, centroids, channel_transmission, made_of
@@ -22,6 +23,7 @@ from chromaperture.optics.pinhole import PupilCamera, focused_at, pupil_camera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.printing.aperture_file import load_aperture
 from chromaperture.optics.printing.template import outline, write_template
+from chromaperture.optics.simulator import session as session_module
 from chromaperture.optics.simulator.sensor import SensorModel
 from chromaperture.optics.simulator.session import SessionPlan
 from chromaperture.system.errors import InputError
@@ -49,6 +51,28 @@ def session(tmp_path_factory):
     assert result.exit_code == 0, result.output
     assert {path.name for path in root.iterdir()} == {"cy_halves", "wall.toml"}  # nothing beside the session
     return root / "cy_halves"
+
+
+def test_ctrl_c_leaves_a_session_of_what_was_finished(tmp_path, monkeypatch):
+    options = ["--width", "120", "--height", "80", "--step-mm", "500", "--farthest-mm", "3000", "--tilts", "1"]
+    expose = session_module.expose
+    shots = []
+
+    def interrupted(*args, **keywords):
+        shots.append(1)
+        if len(shots) == 7:  # two sheets, sheets of two filters, two boards
+            raise KeyboardInterrupt
+        return expose(*args, **keywords)
+
+    monkeypatch.setattr(session_module, "expose", interrupted)
+    result = CliRunner().invoke(app(), ["simulate", str(tmp_path / "s"), "--thin", "--cells", "4", "-q", *options])
+    assert result.exit_code == 130
+    boards = read_session(tmp_path / "s").boards
+    assert sorted(path.name for path in boards) == ["1000.png", "1500.png"]
+    assert sorted(path.name for path in (tmp_path / "s" / "board").iterdir()) == ["1000.png", "1500.png"]
+    shots[:] = [1] * 6  # before the first board
+    result = CliRunner().invoke(app(), ["simulate", str(tmp_path / "t"), "--thin", "--cells", "4", "-q", *options])
+    assert list((tmp_path / "t").rglob("*")) == []
 
 
 def linear(path):

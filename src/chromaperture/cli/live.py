@@ -167,6 +167,10 @@ def _run(loop: LiveLoop, page: LivePage | None, end: float) -> None:
                 page.run(until=over)
             while not loop.over.wait(0.1) and not over() and loop.failure is None:
                 pass
+            if page is not None and loop.failure is None and not over():
+                typer.echo("That was the last frame; the page stays open until Ctrl-C", err=True)
+                while not over():
+                    time.sleep(0.1)
     except KeyboardInterrupt:
         pass  # the usual way to stop
     finally:

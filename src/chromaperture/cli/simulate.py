@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import shlex
+import time
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.console import progress
+from chromaperture.cli.console import progress, say_error
 from chromaperture.cli.options import (
     BOARDS_PANEL,
     CAMERA_PANEL,
@@ -92,8 +93,9 @@ def simulate(
 
     count = int((farthest_mm - nearest_mm) / step_mm + 1e-6) + 1
     distances_mm = tuple(nearest_mm + i * step_mm for i in range(count))
+    began = time.monotonic()
     with progress(quiet=quiet) as update, staged(out) as stage:
-        write_session(
+        is_whole = write_session(
             stage.private,
             aperture=aperture,
             camera=camera,
@@ -104,8 +106,13 @@ def simulate(
             progress=update,
         )
         stage.take_all()
+    took = f"in {time.monotonic() - began:.0f} s"
+    if not is_whole:
+        say_error(f"interrupted: {out} holds what was finished {took}, a session of fewer photographs")
+        raise typer.Exit(130)
     if not quiet:
-        typer.echo(f"Wrote {out}; calibrate it with: chromaperture calibrate {shlex.quote(str(out))} --out camera.asdf")
+        command = f"chromaperture calibrate {shlex.quote(str(out))} --out camera.asdf"
+        typer.echo(f"Wrote {out} {took}; calibrate it with: {command}")
 
 
 def simulate_rgbd(

@@ -34,7 +34,7 @@ from chromaperture.evaluation.checks import (
     urgent_first,
 )
 from chromaperture.model.camera_file import Calibration
-from chromaperture.model.camera_parts import Film
+from chromaperture.model.camera_parts import CameraSensor, Film
 from chromaperture.optics.aperture import Aperture, channel_transmission, design_named, made_of
 from chromaperture.optics.pinhole import centered_pinhole
 from chromaperture.optics.psf import pupil_samples
@@ -185,7 +185,7 @@ def check_board(
     curve: DepthModel | None = None,
 ) -> CheckedShot:
     """Check a board square to the axis at ``ruler_mm``; ``curve`` is fitted to the earlier boards."""
-    checks = [_exposure(image), *_file(notes)]
+    checks = [_exposure(image, session.sensor), *_file(notes)]
     corners = find_corners(image[..., 1], session.inner_corners)
     if corners is None:
         return CheckedShot(Reading(ruler_mm), [_no_board(session), *checks])
@@ -204,7 +204,7 @@ def check_board(
 
 def check_tilt(image: np.ndarray, session: Session, *, notes: Sequence[str] = ()) -> CheckedShot:
     """Check a photograph of the leaning board; parameters as `check_board`."""
-    checks = [_exposure(image), *_file(notes)]
+    checks = [_exposure(image, session.sensor), *_file(notes)]
     corners = find_corners(image[..., 1], session.inner_corners)
     if corners is None:
         return CheckedShot(Reading(), [_no_board(session), *checks])
@@ -277,7 +277,10 @@ def _no_board(session: Session) -> Check:
     )  # fmt: skip
 
 
-def _exposure(image: np.ndarray) -> Check:
+_UNSTATED_WHITE = 65535.0  # the white level of 16 bits, where session.toml states none
+
+
+def _exposure(image: np.ndarray, sensor: CameraSensor) -> Check:
     seen = Exposure.of(image)
     if seen is None:
         return NOTHING_SEEN
@@ -286,7 +289,13 @@ def _exposure(image: np.ndarray) -> Check:
         return Check("exposure", "warn", finding, "expose less, and keep it so for all photographs", seen.figures)
     if seen.is_dark:
         finding = f"the brightest parts reach {seen.bright:.0%} of full scale"
-        return Check("exposure", "warn", finding, "more light, or a longer exposure", seen.figures)
+        advice = "more light, or a longer exposure"
+        counts = float(np.nanmax(image)) * (sensor.white_level - sensor.black_level) + sensor.black_level
+        bits = next((bits for bits in (10, 12) if counts < 2**bits), None)
+        if bits and sensor.white_level == _UNSTATED_WHITE:
+            finding = f"no count exceeds {counts:.0f}, of {sensor.white_level:.0f}"
+            advice = f"a camera of {bits} bits? Then set white_level = {2**bits - 1} in session.toml; else {advice}"
+        return Check("exposure", "warn", finding, advice, seen.figures)
     return Check("exposure", "ok", f"bright parts at {seen.bright:.0%} of full scale", "", seen.figures)
 
 

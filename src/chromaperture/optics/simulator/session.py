@@ -68,8 +68,11 @@ def write_session(
     plan: SessionPlan,
     report: Callable[[str], None] = lambda note: None,
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
-) -> None:
-    """Render and write a session, ``white`` and ``truth`` too, into ``folder``; raises InputError."""
+) -> bool:
+    """Render and write a session, ``white`` and ``truth`` too, into ``folder``; raises InputError.
+
+    Returns whether it is whole: Ctrl-C ends it with what is finished, once there is a board.
+    """
     if not plan.distances_mm:
         raise InputError("a session needs at least one board distance")
     plan = plan.for_camera(camera)
@@ -100,27 +103,39 @@ def write_session(
     truth = folder / "truth"
     lines = ["file,ruler_mm"]
     stood = {}
-    for distance in plan.distances_mm:
-        true_mm = distance + float(rng.uniform(-ruler_error_mm, ruler_error_mm))
-        name = f"board/{distance:04.0f}.png"
-        photograph(folder / name, render(table, wall(camera, (0, 0, true_mm), (0, 0, 0), square_mm)), for_scene)
-        lines.append(f"{name},{distance:.0f}")
-        stood[name] = true_mm
-    for i in range(plan.tilts):
-        pose = _in_frame(camera, *_tilted_pose(i / max(plan.tilts, 1), camera, rng), square_mm)
-        if pose is None:
-            report(f"no tilt {i:02d}: the board would leave the frame")
-            total -= 1
-            continue
-        photograph(folder / f"tilt/{i:02d}.png", render(table, wall(camera, *pose, square_mm)), for_scene)
-    for name, planes in scenes.items():
-        photograph(folder / f"scene/{name}.png", render(table, planes), for_scene)
-        depth = render_depth(table, planes)
-        _write_png(truth / f"{name}.depth_0.1mm.png", np.nan_to_num(np.rint(10 * depth)).clip(0, 65535).astype("u2"))
+    def take_all() -> None:
+        nonlocal total
+        for distance in plan.distances_mm:
+            true_mm = distance + float(rng.uniform(-ruler_error_mm, ruler_error_mm))
+            name = f"board/{distance:04.0f}.png"
+            photograph(folder / name, render(table, wall(camera, (0, 0, true_mm), (0, 0, 0), square_mm)), for_scene)
+            lines.append(f"{name},{distance:.0f}")
+            stood[name] = true_mm
+        for i in range(plan.tilts):
+            pose = _in_frame(camera, *_tilted_pose(i / max(plan.tilts, 1), camera, rng), square_mm)
+            if pose is None:
+                report(f"no tilt {i:02d}: the board would leave the frame")
+                total -= 1
+                continue
+            photograph(folder / f"tilt/{i:02d}.png", render(table, wall(camera, *pose, square_mm)), for_scene)
+        for name, planes in scenes.items():
+            photograph(folder / f"scene/{name}.png", render(table, planes), for_scene)
+            depth = render_depth(table, planes)
+            tenths = np.nan_to_num(np.rint(10 * depth)).clip(0, 65535).astype("u2")
+            _write_png(truth / f"{name}.depth_0.1mm.png", tenths)
+
+    is_whole = True
+    try:
+        take_all()
+    except KeyboardInterrupt:
+        if not stood:
+            raise
+        is_whole = False
     (folder / "distances.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     (folder / "session.toml").write_text(_session_toml(aperture, camera, plan, for_scene / for_white), "utf-8")
     truth.mkdir(parents=True, exist_ok=True)
     (truth / "camera.json").write_text(json.dumps(_truth(camera, aperture, stood), indent=1) + "\n", "utf-8")
+    return is_whole
 
 
 def _tilted_pose(
@@ -237,4 +252,8 @@ def _write_png(path: Path, array: np.ndarray) -> None:
     ok, encoded = cv2.imencode(".png", array)
     if not ok:
         raise InputError(f"cannot encode {path.name}")
-    path.write_bytes(encoded.data)  # unlike `cv2.imwrite`, raises when the disk is full
+    try:
+        path.write_bytes(encoded.data)  # unlike `cv2.imwrite`, raises when the disk is full
+    except BaseException:
+        path.unlink(missing_ok=True)  # interrupted: half a photograph is none
+        raise
