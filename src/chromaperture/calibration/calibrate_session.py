@@ -26,7 +26,7 @@ from chromaperture.calibration.curves import (
 from chromaperture.calibration.fit_fields import DepthFit
 from chromaperture.calibration.fit_response import disparity_error, with_response
 from chromaperture.calibration.options import DEFAULT, Cache, CalibrationConfig, Progress, silent
-from chromaperture.calibration.place_boards import BoardDistances, measure_pinhole, place_boards
+from chromaperture.calibration.place_boards import BoardDistances, PlacedBoards, measure_pinhole, place_boards
 from chromaperture.calibration.read_boards import BoardMeasurement, grid, measure_again, measure_boards, pixel_sigma
 from chromaperture.calibration.rendered_boards import rendered_nonlinearity
 from chromaperture.calibration.session import Session, nominal_depth_model, read_session
@@ -36,6 +36,9 @@ from chromaperture.depth.field import DepthField, degree_of, with_scale_error
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.scale import MATCHED_SIZE, resized
 from chromaperture.settings.methods import QUALITIES, Quality
+
+
+_FAR_OFF = 0.5  # of a ruler, which no board that was measured in mm is off by; chosen by hand
 
 
 @dataclass(frozen=True)
@@ -118,10 +121,11 @@ def calibrate_session(
     placed = place_boards(session, pinhole, config)
     session = dataclasses.replace(session, square_mm=placed.square_mm)
     nominal = dict.fromkeys(QUALITIES, DepthField.constant(nominal_depth_model(session)))
-    draft = assemble_camera(session, sheets, placed.intrinsics, nominal, config)
+    draft = assemble_camera(session, sheets, placed.intrinsics, nominal, config, rulers_mm=_near_truth(session, placed))
     boards = measure_boards(session, draft, pinhole, placed, cache=cache, progress=progress)
     everything = Evidence(sheets.sensor, boards, placed.distances, session.ruler_error_mm, np.ones(len(boards), bool))
     selected = without_outliers(everything, "paper")
+    boards = selected.boards
     shifted = fit_curves(selected, config, progress=progress)
     start = dataclasses.replace(draft, depth=with_accurate(shifted, draft.design))
     blurred = calibrate_blur(start, session, selected, config, lens=lens, cache=cache, progress=progress)
@@ -163,6 +167,12 @@ def calibrate_session(
     made_from = origin(session, sheets, config, command=command, lens_from=lens_from)
     camera = dataclasses.replace(result.calibration, provenance=made_from | _figures(result))
     return dataclasses.replace(result, calibration=camera)
+
+
+def _near_truth(session: Session, placed: PlacedBoards) -> list[float]:
+    """Return the rulers without those that are off by half, in inches or with a 0 too many: they widen every search."""
+    rulers, residuals = list(session.boards.values()), placed.distances.residual_mm
+    return [ruler for ruler, off in zip(rulers, residuals, strict=True) if not abs(off) > _FAR_OFF * ruler]
 
 
 def _at_size_of(session: Session, lens_from: Calibration | None) -> Calibration | None:

@@ -89,7 +89,7 @@ def fit_on_axis(evidence: Evidence, quality: Quality) -> DepthFit:
 def without_outliers(evidence: Evidence, quality: Quality) -> Evidence:
     """Find boards whose ruler contradicts their corners or, where they have none, the fitted curve.
 
-    Outliers without corners become unused. Those with corners stay: their distance follows from the pose.
+    Outliers without corners become unused. Those with corners stay, and their ruler says what the pose does.
     """
     names = [board.name for board in evidence.boards]
     ruler = np.array([board.ruler_mm for board in evidence.boards])
@@ -101,8 +101,12 @@ def without_outliers(evidence: Evidence, quality: Quality) -> Evidence:
     sigma = np.where(no_pose, np.hypot(evidence.ruler_error_mm, by_curve), evidence.distances.residual_sigma_mm)
     measured = np.where(no_pose, ruler + fit.residual_mm, by_pose)
     outliers = find_outliers(names, ruler, measured, sigma, ruler_error_mm=evidence.ruler_error_mm)
-    used = evidence.used & ~(no_pose & np.isin(names, list(outliers)))
-    return replace(evidence, used=used, outliers=outliers)
+    is_outlier = np.isin(names, list(outliers))
+    boards = [
+        replace(board, ruler_mm=float(stands)) if moved else board
+        for board, stands, moved in zip(evidence.boards, by_pose, is_outlier & ~no_pose, strict=True)
+    ]
+    return replace(evidence, boards=boards, used=evidence.used & ~(no_pose & is_outlier), outliers=outliers)
 
 
 def fit_curves(
