@@ -37,7 +37,6 @@ from chromaperture.model.camera_file import Calibration
 from chromaperture.model.scale import MATCHED_SIZE, resized
 from chromaperture.settings.methods import QUALITIES, Quality
 
-
 _FAR_OFF = 0.5  # of a ruler, which no board that was measured in mm is off by; chosen by hand
 
 
