@@ -14,7 +14,7 @@ NAME = "still_life_cy_halves"
 
 @pytest.fixture(scope="module")
 def browser(driver, tmp_path_factory):
-    with chromium_with(driver, tmp_path_factory.mktemp("camera"), open_sample(NAME)[1]) as started:
+    with chromium_with(driver, tmp_path_factory.mktemp("camera"), open_sample(NAME, quality="real-time")[1]) as started:
         yield started
 
 

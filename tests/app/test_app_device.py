@@ -72,7 +72,7 @@ def small(tmp_path_factory):
     path = tmp_path_factory.mktemp("small") / "cy_halves.asdf"
     calibration = resized(Calibration.load(sample_camera(NAME)), WIDTH, HEIGHT)
     calibration.save(path)
-    _, image = open_sample(NAME)
+    _, image = open_sample(NAME, quality="real-time")
     picture = linear_to_srgb_bytes(cv2.resize(image, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA))
     camera = CodedApertureCamera(calibration, default_config(calibration, scale=1), execution="numpy")
     return path, picture, camera

@@ -56,7 +56,7 @@ def test_live_depth_is_that_of_python(page_at):
     page.click("#live-start")
     page.wait_for_selector("#live-viewer canvas:not([hidden])", timeout=30_000)
     page.wait_for_selector("#live-speed:has-text('frames/s')")
-    camera, image = open_sample(NAME)
+    camera, image = open_sample(NAME, quality="real-time")
     with collect_warnings() as notes:  # not pytest.warns: the app, in this process, records warnings at the same time
         picture = linearise(Decoded(linear_to_srgb_bytes(image)), camera_encoding=Encoding(16, 1016))
     assert any("encoded values" in note for note in notes())
@@ -121,7 +121,7 @@ def test_a_browser_that_asks_and_is_denied_says_so(driver, app):
 def test_a_photograph_is_measured_focused_by_a_touch_and_saved(page_at):
     page = page_at(DESKTOP)
     open_photo(page, sample_image(NAME))
-    camera, image = open_sample(NAME)
+    camera, image = open_sample(NAME, quality="real-time")
     frame = camera.measure(image)
     for x, y in PLACES:
         depth, sigma = reading(page, "#photo-viewer", x, y)

@@ -43,7 +43,7 @@ def app(tmp_path_factory):
 @pytest.fixture(scope="module")
 def photo():
     """The sample as a video frame: 8 bits, sRGB."""
-    _, image = open_sample(NAME)
+    _, image = open_sample(NAME, quality="real-time")
     return linear_to_srgb_bytes(image)
 
 
@@ -68,7 +68,7 @@ def test_a_frame_is_measured_as_python_measures_it(app, photo):
     status, message, _ = call(app, "POST", where, photo.tobytes())
     assert status == 200
     facts, depth, sigma, jpeg = unpack(message)
-    camera, _ = open_sample(NAME)
+    camera, _ = open_sample(NAME, quality="real-time")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", CaptureWarning)
         frame = camera.measure(linearise(Decoded(photo), camera_encoding=Encoding(16, 1016)))
@@ -346,7 +346,7 @@ def test_counts_give_the_values_back(values):
 
 
 def test_a_message_of_an_uncalibrated_frame_has_disparity():
-    camera, image = open_sample(NAME)
+    camera, image = open_sample(NAME, quality="real-time")
     frame = camera.measure(image)
     from dataclasses import replace
 

@@ -41,7 +41,7 @@ SAMPLE = "still_life_cy_halves"
 
 @pytest.fixture(scope="module")
 def camera():
-    return cap.open_sample(SAMPLE)[0]
+    return cap.open_sample(SAMPLE, quality="real-time")[0]
 
 
 @pytest.fixture(scope="module")
@@ -152,7 +152,7 @@ def test_show_draws_three_maps_in_pixels_of_the_photograph(frame):
 def test_save_writes_the_files_of_the_command_line(frame, run, tmp_path):
     (tmp_path / "a").mkdir()
     image = shutil.copy(cap.sample_image(SAMPLE), tmp_path / "a" / "photo.png")
-    result = run("depth", image, "--camera", cap.sample_camera(SAMPLE), "-q")  # beside the image
+    result = run("depth", image, "--camera", cap.sample_camera(SAMPLE), "--quality=real-time", "-q")  # beside the image
     assert (result.returncode, result.stdout) == (0, ""), result.stderr
     image.unlink()
     saved = frame.save(tmp_path / "b" / "photo")
@@ -167,7 +167,7 @@ def test_save_writes_the_files_of_the_command_line(frame, run, tmp_path):
 def test_only_what_is_named_is_written_and_its_libraries_loaded(frame, run, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "chromaperture.frame.preview", None)  # an import of it fails
     image = cap.sample_image(SAMPLE)
-    options = ("--camera", cap.sample_camera(SAMPLE), "--out", tmp_path / "a", "-q")
+    options = ("--camera", cap.sample_camera(SAMPLE), "--quality=real-time", "--out", tmp_path / "a", "-q")
     assert run("depth", image, *options, "--write", "json, depth").returncode == 0
     assert {p.name for p in (tmp_path / "a").iterdir()} == {f"{SAMPLE}.depth.tiff", f"{SAMPLE}.json"}
     with pytest.raises(ImportError):
@@ -197,7 +197,7 @@ def photographs(folder, count=3):
 
 def test_files_written_beside_the_next_measurement_are_the_same(run, camera, tmp_path):
     images = photographs(tmp_path / "in")
-    options = ("--camera", cap.sample_camera(SAMPLE), "-q")
+    options = ("--camera", cap.sample_camera(SAMPLE), "--quality=real-time", "-q")
     assert run("depth", *images, *options, "--out", tmp_path / "many").returncode == 0
     for image in images:
         cap.measure_file(image, camera, out=tmp_path / "one")
@@ -223,6 +223,7 @@ def test_no_more_than_two_measurements_are_in_memory(run, tmp_path, monkeypatch)
 
     monkeypatch.setattr(archive, "measure_only", counted)
     options = ("--camera", cap.sample_camera(SAMPLE), "--out", tmp_path / "out", "--write", "depth", "-q")
+    options += ("--quality=real-time",)
     assert run("depth", *photographs(tmp_path / "in", 4), *options).returncode == 0
     assert len(alive) == 4
     assert max(alive) <= 1  # when a measurement begins, only the one before is there, being written
@@ -237,7 +238,8 @@ def test_a_disk_that_fills_up_beside_a_measurement_is_one_line(run, tmp_path, mo
         write(path, *maps, **rays)
 
     monkeypatch.setattr(frame_files, "write_depth_ply", full)
-    options = ("--camera", cap.sample_camera(SAMPLE), "--out", tmp_path / "out", "--write", "depth,ply,json")
+    options = ("--camera", cap.sample_camera(SAMPLE), "--quality=real-time", "--out", tmp_path / "out")
+    options += ("--write", "depth,ply,json")
     done = run("depth", *images, *options, "-q")
     assert done.returncode == 1
     full, summary = done.stderr.splitlines()
@@ -249,13 +251,12 @@ def test_a_disk_that_fills_up_beside_a_measurement_is_one_line(run, tmp_path, mo
 
 def test_measure_takes_another_quality_and_keeps_its_camera(camera, frame):
     image = camera.read(cap.sample_image(SAMPLE))
-    quick = camera.measure(image, quality="real-time")
-    assert (frame.config.quality, quick.config.quality) == ("accurate", "real-time")
-    expected = cap.load_camera(cap.sample_camera(SAMPLE), quality="real-time", device=camera.device).measure(image)
-    np.testing.assert_array_equal(quick.depth_mm, expected.depth_mm)
-    again = camera.measure(image, quality="real-time")
-    assert again.calibration is quick.calibration
-    np.testing.assert_array_equal(camera.measure(image, quality="accurate").depth_mm, frame.depth_mm)
+    other = camera.measure(image, quality="paper")
+    assert (frame.config.quality, other.config.quality) == ("real-time", "paper")
+    expected = cap.load_camera(cap.sample_camera(SAMPLE), quality="paper", device=camera.device).measure(image)
+    np.testing.assert_array_equal(other.depth_mm, expected.depth_mm)
+    np.testing.assert_array_equal(camera.measure(image, quality="real-time").depth_mm, frame.depth_mm)
+    assert cap.load_camera(cap.sample_camera(SAMPLE)).config.quality == "accurate"  # of photographs
 
 
 def test_the_preview_is_bounded_and_unknown_is_grey(frame, tmp_path):

@@ -220,11 +220,12 @@ def test_a_mosaic_without_the_option_and_with_a_wrong_one(run, tmp_path, sites):
 
 def test_depth_and_check_of_a_mosaic_and_of_a_camera_that_remembers_it(run, tmp_path, sites):
     cv2.imwrite(str(tmp_path / "a.png"), sites)
-    wide = ("--write", "depth,json", "-o", tmp_path / "out")
+    wide = ("--write", "depth,json", "-o", tmp_path / "out", "--quality=real-time")
     assert run("depth", tmp_path / "a.png", "-c", CAMERA, "--mosaic", "RGGB", *wide).returncode == 0
     first = tifffile.imread(tmp_path / "out" / "a.depth.tiff")
     assert first.shape == (480, 720)
-    assert run("depth", cap.sample_image(SAMPLE), "-c", CAMERA, "--write", "depth", "-o", tmp_path).returncode == 0
+    options = ("-c", CAMERA, "--write", "depth", "--quality=real-time", "-o", tmp_path)
+    assert run("depth", cap.sample_image(SAMPLE), *options).returncode == 0
     whole = tifffile.imread(next(tmp_path.glob("*.depth.tiff")))
     assert np.nanmedian(np.abs(first / whole - 1)) < 0.02  # the mosaic has been interpolated from the same picture
     known = Calibration.load(CAMERA)
@@ -306,7 +307,8 @@ def test_the_kind_that_a_camera_was_calibrated_on_is_measured(run, tmp_path, sit
         made = dict(known.provenance) | {"files": {"session.toml": "", f"board/1{kind}": ""}}
         replace(known, provenance=made).save(tmp_path / "camera.asdf")
         out = tmp_path / kind
-        result = run("depth", folder, "-c", tmp_path / "camera.asdf", "-o", out, "--write", "depth")
+        options = ("-o", out, "--quality=real-time", "--write", "depth")
+        result = run("depth", folder, "-c", tmp_path / "camera.asdf", *options)
         assert result.returncode == 0, result.stderr
         assert [path.name for path in out.iterdir()] == [f"{measured}.depth.tiff"]
         assert f"Left out: 1 {other}" in result.stdout

@@ -411,8 +411,8 @@ def test_export_measures_the_sample_and_takes_the_pupil_as_origin(run, tmp_path)
     assert (code, said) == (0, ""), complaint
     (picture,) = (walk / "depth").iterdir()
     z_mm = cv2.imread(str(picture), cv2.IMREAD_UNCHANGED) / 5.0
-    code, *_ = run("depth", sample_image("still_life_cy_halves"), "--camera",
-                   sample_camera("still_life_cy_halves"), "--out", tmp_path / "depth", "-q")  # fmt: skip
+    options = ("--camera", sample_camera("still_life_cy_halves"), "--out", tmp_path / "depth", "--quality=real-time")
+    code, *_ = run("depth", sample_image("still_life_cy_halves"), *options, "-q")
     depth_mm = cv2.imread(str(tmp_path / "depth" / "still_life_cy_halves.depth.png"), cv2.IMREAD_UNCHANGED)
     camera_info = run("info", sample_camera("still_life_cy_halves"), "--json").stdout
     delta = json.loads(camera_info)["sensor_to_pupil_mm"]

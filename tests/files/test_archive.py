@@ -9,6 +9,8 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
+from pathlib import Path
 
 import pytest
 
@@ -31,7 +33,7 @@ def photographs(folder, count):
 
 
 def recipe(**options):
-    return archive.recipe_for(CAMERA, cap.load_camera(CAMERA), write=WRITE, **options)
+    return archive.recipe_for(CAMERA, cap.load_camera(CAMERA, quality="real-time"), write=WRITE, **options)
 
 
 def results(folder):
@@ -47,7 +49,7 @@ def results(folder):
 
 def alone(images, folder):
     for image in images:
-        cap.measure_file(image, cap.load_camera(CAMERA), out=folder, write=f"{WRITE},json")
+        cap.measure_file(image, cap.load_camera(CAMERA, quality="real-time"), out=folder, write=f"{WRITE},json")
     return results(folder)
 
 
@@ -67,7 +69,7 @@ def test_a_cluster_gives_the_same_files_and_keeps_what_is_complete(run, tmp_path
     (tmp_path / "in" / "bad.png").write_bytes(b"no picture")
     started = LocalCluster(tmp_path)
     try:
-        command = ("depth", tmp_path / "in", "-c", CAMERA, "--write", WRITE, "--out", tmp_path / "out")
+        command = ("depth", tmp_path / "in", "-c", CAMERA, "--quality=real-time", "--write", WRITE, "--out", tmp_path / "out")
         first = run(*command, "--cluster", started.address, "-q")
         second = run(*command, "--cluster", started.address, "--json")
     finally:
@@ -191,8 +193,9 @@ def test_what_is_complete_is_measured_again_only_with_a_damaged_mark_or_another_
     assert ended(image, made) == "kept"
     (out / "p0.json").write_text("[")
     assert ended(image, made) == "measured"
-    other = archive.recipe_for(shutil.copy(cap.sample_camera("still_life_cy_open"), tmp_path),
-                                       cap.load_camera(CAMERA), write=WRITE, out=str(out))  # fmt: skip
+    opened = cap.load_camera(CAMERA, quality="real-time")
+    copied = shutil.copy(cap.sample_camera("still_life_cy_open"), tmp_path)
+    other = archive.recipe_for(copied, opened, write=WRITE, out=str(out))
     assert ended(image, other) == "measured"
 
 
@@ -318,6 +321,20 @@ def test_folders_and_patterns_of_a_store_name_photographs():
     assert archive_store.find_photographs(["memory://listed/*.png"]) == ["memory:///listed/b.png"]
 
 
+@pytest.mark.extra("cluster", "fsspec")
+def test_a_store_whose_attempts_do_not_end_is_an_error(monkeypatch):
+    import fsspec
+
+    ended = threading.Event()
+    monkeypatch.setattr(archive_store, "_TRANSFER_S", 0.05)
+    monkeypatch.setattr(fsspec.get_filesystem_class("memory"), "get_file", lambda *args, **options: ended.wait())
+    try:
+        with pytest.raises(archive_store.StoreError, match="no end within"):
+            archive_store.fetch("memory://listed/a.jpg", Path("a.jpg"))
+    finally:
+        ended.set()
+
+
 def test_wrong_use_is_one_line(run, tmp_path, monkeypatch):
     (image,) = photographs(tmp_path / "in", 1)
     (tmp_path / "empty.txt").write_text("\n")
@@ -344,6 +361,6 @@ def test_wrong_use_is_one_line(run, tmp_path, monkeypatch):
 def test_a_list_is_measured_without_a_cluster_too(run, tmp_path):
     images = photographs(tmp_path / "in", 2)
     (tmp_path / "list.txt").write_text("\n".join(map(str, images)))
-    command = ("depth", "--files-from", tmp_path / "list.txt", "-c", CAMERA, "--write", "depth", "-q")
+    command = ("depth", "--files-from", tmp_path / "list.txt", "-c", CAMERA, "--quality=real-time", "--write", "depth", "-q")
     assert run(*command).returncode == 0
     assert {path.name for path in (tmp_path / "in").glob("*.tiff")} == {"p0.depth.tiff", "p1.depth.tiff"}

@@ -18,7 +18,7 @@ from chromaperture.products.archive import recipe_for
 
 SAMPLE = "still_life_cy_halves"
 CAMERA = cap.sample_camera(SAMPLE)
-WRITE = ("--write", "depth,sigma")
+WRITE = ("--write", "depth,sigma", "--quality=real-time")
 
 
 @pytest.fixture
@@ -85,7 +85,7 @@ def test_nothing_measured_is_a_fault_of_the_command(run, folder, tmp_path):
 
 def test_many_are_counted_and_few_are_tabulated(run, folder, tmp_path, monkeypatch):
     monkeypatch.setattr("chromaperture.cli.depth.MOST_COLUMNS", 2)
-    result = run("depth", folder, "-c", CAMERA, "-o", tmp_path / "out", "--write", "json")
+    result = run("depth", folder, "-c", CAMERA, "-o", tmp_path / "out", "--quality=real-time", "--write", "json")
     assert "3 measured, 0 complete before, 1 failed" in result.stdout
     assert "how sure" not in result.stdout
 
@@ -131,11 +131,42 @@ def test_a_process_that_is_killed_costs_one_photograph(folder, tmp_path, monkeyp
         os.kill(started[0].pid, signal.SIGKILL)
 
     threading.Thread(target=kill_the_first, daemon=True).start()
-    recipe = recipe_for(CAMERA, cap.load_camera(CAMERA), out=str(tmp_path / "out"), write="depth")
+    recipe = recipe_for(CAMERA, cap.load_camera(CAMERA, quality="real-time"), out=str(tmp_path / "out"), write="depth")
     images = [str(path) for path in sorted(folder.iterdir())]
     outcomes = list(batch.measure_in_processes(images, recipe, jobs=1))
     assert [outcome.error for outcome in outcomes] == [batch.DIED, "", ""]
     assert not any(process.is_alive() for process in started)
+
+
+@pytest.mark.slow
+def test_a_process_that_hangs_is_named_and_ended(folder, tmp_path, monkeypatch):
+    """A process that is stopped, as by a debugger or a machine that sleeps."""
+    monkeypatch.setattr(batch, "CHECK_EVERY_S", 0.1)
+    started, told = [], []
+    start_worker = batch._WorkerPool.start_worker
+
+    def stopped(pool):
+        worker = start_worker(pool)
+        if not started:
+            os.kill(worker.process.pid, signal.SIGSTOP)
+            monkeypatch.setattr(batch, "HANG_S", 3.0)
+        else:
+            monkeypatch.setattr(batch, "HANG_S", 600.0)  # the others may take their time
+        started.append(worker.process)
+        return worker
+
+    monkeypatch.setattr(batch._WorkerPool, "start_worker", stopped)
+    recipe = recipe_for(CAMERA, cap.load_camera(CAMERA, quality="real-time"), out=str(tmp_path / "out"), write="depth")
+    (folder / "b.png").unlink()
+    images = [str(path) for path in sorted(folder.iterdir())]
+    outcomes = list(batch.measure_in_processes(images, recipe, jobs=1, waiting_for=lambda *what: told.append(what)))
+    assert [outcome.error for outcome in outcomes] == [batch.HUNG, "", ""]
+    assert told[0][:2] == (images[0], f"process {started[0].pid}")
+
+
+def test_several_at_a_time_are_counted_when_they_are_done():
+    assert console._line("a.png: disparity", 3, 10) == "a.png: disparity, 4 of 10"
+    assert console._line(f"{console.FINISHED} (2 failed)", 3, 10) == "3 of 10 photographs done (2 failed)"
 
 
 def test_the_remaining_time_is_said_where_nothing_is_drawn():

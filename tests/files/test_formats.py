@@ -285,7 +285,8 @@ def test_exr_holds_depth_error_bar_and_confidence(tmp_path, run):
 
     image, camera = cap.sample_image(SAMPLE), cap.sample_camera(SAMPLE)
     names = "exr,depth,sigma"
-    assert run("depth", image, "--camera", camera, "--out", tmp_path, "--write", names, "-q").returncode == 0
+    wanted = ("--out", tmp_path, "--write", names, "--quality=real-time", "-q")
+    assert run("depth", image, "--camera", camera, *wanted).returncode == 0
     with OpenEXR.File(str(tmp_path / f"{SAMPLE}.exr"), separate_channels=True) as file:
         channels, header = {n: np.array(c.pixels) for n, c in file.channels().items()}, dict(file.header())
     assert set(channels) == {"R", "G", "B", "Z", "sigma_mm", "confidence"}
@@ -308,9 +309,10 @@ def test_exr_holds_depth_error_bar_and_confidence(tmp_path, run):
 def test_formats_come_only_where_they_are_named(tmp_path, run):
     image, camera = cap.sample_image(SAMPLE), cap.sample_camera(SAMPLE)
     names = "gdepth,dynamic-depth,glb"
-    assert run("depth", image, "--camera", camera, "--out", tmp_path, "--write", names, "-q").returncode == 0
+    wanted = ("--out", tmp_path, "--write", names, "--quality=real-time", "-q")
+    assert run("depth", image, "--camera", camera, *wanted).returncode == 0
     assert {p.name.removeprefix(SAMPLE) for p in tmp_path.iterdir()} == {".gdepth.jpg", ".dynamic-depth.jpg", ".glb"}
-    options = ("--camera", camera, "--out", tmp_path / "x", "--write", names)
+    options = ("--camera", camera, "--out", tmp_path / "x", "--write", names, "--quality=real-time")
     done = run("depth", image, *options, "--max-relative-sigma", "1e-9")
     assert (done.returncode, len(done.stderr.strip().splitlines())) == (2, 1)
     assert "--max-relative-sigma" in done.stderr
@@ -425,7 +427,7 @@ def test_export_with_a_trajectory(tmp_path, run):
     image, camera = cap.sample_image(SAMPLE), cap.sample_camera(SAMPLE)
     (tmp_path / "t.txt").write_text("0 0 0 0 0 0 0 1\n")
     out = tmp_path / "walk"
-    options = ("--camera", camera, "--quality", "real-time")
+    options = ("--camera", camera, "--quality=real-time")
     done = run("export", image, out, *options, "--format", "nerfstudio", "--trajectory", tmp_path / "t.txt")
     assert done.returncode == 0, done.stderr
     assert len(json.loads((out / "transforms.json").read_text())["frames"]) == 1

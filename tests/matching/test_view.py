@@ -60,7 +60,7 @@ def test_view_serves_and_ends(run, tmp_path):
 
 def test_view_writes_one_file(run, tmp_path):
     image, camera = sample_image("still_life_cy_halves"), sample_camera("still_life_cy_halves")
-    assert run("depth", image, "--camera", camera, "--out", tmp_path, "-q")[0] == 0
+    assert run("depth", image, "--camera", camera, "--out", tmp_path, "--quality=real-time", "-q")[0] == 0
     ply = tmp_path / "still_life_cy_halves.ply"
     assert run("view", ply, "--out", tmp_path / "page.html")[0] == 0
     page = (tmp_path / "page.html").read_text()

@@ -402,7 +402,7 @@ def test_sigterm_cleans_up(tmp_path):
     process.send_signal(signal.SIGTERM)
     printed, complaint = process.communicate(timeout=120)
     assert (process.returncode, printed) == (143, "")
-    assert complaint.splitlines() == ["error: ended by SIGTERM; nothing half-written was left behind"]
+    assert complaint.splitlines() == ["error: ended by SIGTERM; no file was left half-written"]
     assert list(tmp_path.iterdir()) == []
 
 

@@ -16,7 +16,7 @@ MEASURE = """
 import sys
 import numpy as np
 import chromaperture as cap
-camera, image = cap.open_sample("still_life_cy_halves")
+camera, image = cap.open_sample("still_life_cy_halves", quality="real-time")
 frame = camera.measure(image)
 np.save(sys.argv[1], np.stack([frame.disparity_px, frame.disparity_sigma_px]))
 """

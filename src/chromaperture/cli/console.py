@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 Update = Callable[[str, int, int], None]  # what is being done, how many are done, of how many; 0: nobody knows
 
+FINISHED = "photographs done"  # how a step begins of which several parts are worked on at a time
 LINE_EVERY_S = 2.0  # between two lines of progress, where there is no terminal; chosen by hand
 SAME_AFTER = 2.5  # times as long between two lines that say the same; chosen by hand
 _FEW = 50  # parts: as kernels, the slowest of which take fifty times as long as the quickest
@@ -174,13 +175,15 @@ def _can_estimate(done: float, total: float | None) -> bool:
 def _remaining(done: int, left: int, seconds: float) -> str:
     """State the remaining time, where it is worth saying: from half a minute on."""
     expected_s = seconds * left / done if done > 0 else 0.0
-    return f", about {_duration(expected_s)} left" if expected_s >= 30 else ""
+    return f", about {duration(expected_s)} left" if expected_s >= 30 else ""
 
 
 def _line(what: str, done: int, total: int) -> str:
-    """State which one is being worked on; how many are done where nobody knows of how many."""
+    """State which one is being worked on; how many are done where several are, or nobody knows of how many."""
     if not total:
         return f"{what}, {done} done"
+    if what.startswith(FINISHED):
+        return f"{done} of {total} {what}"
     return f"{what}, {min(done + 1, total)} of {total}"
 
 
@@ -221,8 +224,8 @@ def announce_duration(camera: CodedApertureCamera, photographs: int, *, quiet: b
     each_s = ACCURATE_S_A_MEGAPIXEL * megapixels / camera.config.scale**2  # the working scale's pixels
     if quiet or camera.config.quality != "accurate" or photographs * each_s < _LONG_S:
         return
-    several = f", {_duration(photographs * each_s)} for {photographs}" if photographs > 1 else ""
-    say = f"Quality accurate: about {_duration(each_s)} a photograph of {megapixels:.2g} megapixels{several}"
+    several = f", {duration(photographs * each_s)} for {photographs}" if photographs > 1 else ""
+    say = f"Quality accurate: about {duration(each_s)} a photograph of {megapixels:.2g} megapixels{several}"
     basis = f"{ACCURATE_S_A_MEGAPIXEL:.0f} s a megapixel, as measured on two cores of an Intel Xeon server"
     print(f"{say} (an estimate: {basis}); --quality real-time is faster and tells less.", file=sys.stderr, flush=True)
 
@@ -235,10 +238,11 @@ def other_quality(camera: CodedApertureCamera, *, per: str = "photograph") -> st
         return "--quality real-time takes a fraction of a second and tells less."
     sensor, scale = camera.calibration.sensor, camera.config.scale
     each_s = ACCURATE_S_A_MEGAPIXEL * sensor.width_px * sensor.height_px / 1e6 / scale**2
-    return f"--quality accurate tells more, and takes about {_duration(each_s)} a {per}."
+    return f"--quality accurate tells more, and takes about {duration(each_s)} a {per}."
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """Return a time in words."""
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
 
 

@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from chromaperture.cli.console import (
+    FINISHED,
     announce_duration,
     compile_kernels,
+    duration,
     other_quality,
     print_json,
     print_reports,
@@ -53,6 +55,7 @@ if TYPE_CHECKING:
     from chromaperture.products.archive import Outcome, Recipe
     from chromaperture.products.measure_file import Written
 
+_LONG_S = 30.0  # from which one photograph's wait is told; chosen by hand
 MOST_COLUMNS = 6  # photographs in a table of results; more are counted. Six fit a line of 160 letters
 
 CameraOf = Callable[[Path], "CodedApertureCamera"]
@@ -257,15 +260,31 @@ def cameras(first: Path, camera: Path | None, design: str | None, **settings: An
 class Batch:
     """What became of the photographs so far."""
 
-    reports: list[Written] = field(default_factory=list)  # of all that are complete
+    reports: list[Written] = field(default_factory=list)  # of the first that are complete, for a table
+    folders: set[Path] = field(default_factory=set)  # of all results
     kept: list[str] = field(default_factory=list)
     failed: list[tuple[str, str]] = field(default_factory=list)  # photograph and error
     measured: int = 0
 
+    waiting: str = ""  # for what, where one takes long
+
     @property
     def stage(self) -> str:
         """What the progress says is being done."""
-        return f"photographs ({len(self.failed)} failed)" if self.failed else "photographs"
+        notes = [f"{len(self.failed)} failed"] if self.failed else []
+        notes += [self.waiting] if self.waiting else []
+        return f"{FINISHED} ({'; '.join(notes)})" if notes else FINISHED
+
+    def keep(self, report: Written) -> None:
+        """Keep what is printed of a photograph: thousands of reports would fill the memory."""
+        self.folders |= {file.parent for file in report.files}
+        if len(self.reports) < MOST_COLUMNS:
+            self.reports.append(report)
+
+    def wait(self, image: str, where: str, seconds: float) -> None:
+        """Note what has been waited for."""
+        since = f"waiting for {Path(image).name} on {where} since {duration(seconds)}"
+        self.waiting = since if seconds > _LONG_S else ""
 
     @property
     def counts(self) -> str:
@@ -274,6 +293,7 @@ class Batch:
 
     def take(self, outcome: Outcome) -> None:
         """Count what another process reports, and pass its warnings on."""
+        self.waiting = ""
         for text in outcome.warnings:
             warnings.warn(text, CaptureWarning, stacklevel=2)
         if outcome.error:
@@ -282,6 +302,16 @@ class Batch:
             self.kept.append(outcome.image)
         else:
             self.measured += 1
+
+    def summary(self, left_out: Mapping[Path, str], seconds: float) -> dict[str, Any]:
+        """Return the figures of many photographs; those of each are in its NAME.json."""
+        return {
+            "measured": self.measured,
+            "kept": len(self.kept),
+            "failed": [{"image": image, "error": error} for image, error in self.failed],
+            "left_out": [{"image": path.name, "left_out": reason} for path, reason in left_out.items()],
+            "seconds": round(seconds, 1),
+        }
 
     def exit_if_failed(self) -> None:
         """End with 1 where some could not be measured, with 2 where none could."""
@@ -308,15 +338,18 @@ def measure_batch(
         announce_duration(camera_of(images[0]), len(images), quiet=quiet)
     with progress(quiet=quiet) as update:
         if jobs > 1 and len(images) > 1 and recipe is not None:
-            states = _in_processes(images, recipe, jobs, batch)
+            states = _in_processes(images, recipe, jobs, batch, update)
         else:
             states = _here(images, camera_of, recipe, batch, update, options)
         for done in states:
             update(batch.stage, done, len(images))
     seconds = time.monotonic() - began
-    if json:
+    if json and len(images) > MOST_COLUMNS:
+        print_json(batch.summary(left_out, seconds))
+    elif json:
         reports = [report.summary | {"files": [str(path) for path in report.files]} for report in batch.reports]
-        print_json(reports + [{"image": path.name, "left_out": reason} for path, reason in left_out.items()])
+        failures = [{"image": Path(image).name, "error": error} for image, error in batch.failed]
+        print_json(reports + failures + [{"image": path.name, "left_out": why} for path, why in left_out.items()])
     elif not quiet:
         _print(batch, len(images), seconds, note, verbose=verbose)
         print_left_out(left_out)
@@ -357,31 +390,41 @@ def _here(
         elif isinstance(result, Kept):
             batch.kept.append(result.image)
             assert recipe is not None
-            batch.reports.append(_read(result.image, recipe))
+            batch.keep(_read(result.image, recipe))
         else:
-            batch.reports.append(result)
+            batch.keep(result)
             batch.measured += 1
         yield done
 
 
-def _in_processes(images: Sequence[Path], recipe: Recipe, jobs: int, batch: Batch) -> Iterator[int]:
+def _in_processes(
+    images: Sequence[Path], recipe: Recipe, jobs: int, batch: Batch, update: Callable[[str, int, int], None]
+) -> Iterator[int]:
     """Measure several photographs at a time; yields how many are done."""
     from chromaperture.products.archive import measure_in_processes
     from chromaperture.products.archive_store import absolute
 
+    done = 0
+
+    def wait(image: str, where: str, seconds: float) -> None:
+        batch.wait(image, where, seconds)
+        update(batch.stage, done, len(images))
+
     yield 0
-    reports: dict[str, Written] = {}
     names = [absolute(str(image)) for image in images]
-    for done, outcome in enumerate(measure_in_processes(names, recipe, jobs=jobs), 1):
+    complete: set[str] = set()
+    for outcome in measure_in_processes(names, recipe, jobs=jobs, waiting_for=wait):
         batch.take(outcome)
         if outcome.error:
             name = Path(outcome.image).name
             say_error(outcome.error if name in outcome.error else f"{name}: {outcome.error}")
         else:
-            reports[outcome.image] = _read(outcome.image, recipe)
+            complete.add(outcome.image)
+        done += 1
         yield done
-    batch.reports += [reports[name] for name in names if name in reports]
-    batch.kept.sort(key=names.index)  # processes end in any order
+    for name in filter(complete.__contains__, names):  # processes end in any order
+        batch.keep(_read(name, recipe))
+    batch.kept.sort(key=names.index)
     batch.failed.sort(key=lambda failed: names.index(failed[0]))
 
 
@@ -404,8 +447,7 @@ def _print(batch: Batch, count: int, seconds: float, note: str, *, verbose: bool
         console.print(f"{count} photographs in {seconds:.0f} s: {batch.counts}")
         if batch.reports:
             console.print(f"Quality {batch.reports[0].summary['config']['quality']}. {note}".rstrip(), soft_wrap=True)
-        folders = {file.parent for report in batch.reports for file in report.files}
-        for folder in sorted(folders):
+        for folder in sorted(batch.folders):
             console.print(f"Wrote to {folder}", soft_wrap=True, markup=False, highlight=False)
     if batch.kept:
         names = ", ".join(Path(image).name for image in batch.kept)
@@ -425,19 +467,23 @@ def measure_archive(
     try:
         with progress(quiet=quiet) as update:
             update("waiting for the cluster", 0, len(images))
-            for done, outcome in enumerate(measure_on_cluster(images, recipe, address), 1):
+            done = 0
+
+            def wait(image: str, where: str, seconds: float) -> None:
+                batch.wait(image, where, seconds)
+                update(batch.stage, done, len(images))
+
+            for outcome in measure_on_cluster(images, recipe, address, waiting_for=wait):
                 batch.take(outcome)
                 if outcome.error:
                     say_error(f"{outcome.image}: {outcome.error}")
+                done += 1
                 update(batch.stage, done, len(images))
     except InputError as error:
         raise InputError(f"{error} ({batch.counts}, of {len(images)})") from None
     seconds = time.monotonic() - began
     if json:
-        failures = [{"image": image, "error": error} for image, error in batch.failed]
-        others = [{"image": path.name, "left_out": reason} for path, reason in left_out.items()]
-        counts = {"measured": batch.measured, "kept": len(batch.kept), "failed": failures, "left_out": others}
-        print_json(counts | {"seconds": round(seconds, 1)})
+        print_json(batch.summary(left_out, seconds))
     elif not quiet:
         console.print(f"{len(images)} photographs in {seconds:.0f} s: {batch.counts}")
         print_left_out(left_out)

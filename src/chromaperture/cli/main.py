@@ -75,10 +75,7 @@ def main() -> None:
             _end(stop.code)
 
 
-_STOPPED = {
-    130: "interrupted; nothing half-written was left behind",
-    143: "ended by SIGTERM; nothing half-written was left behind",
-}
+_STOPPED = {130: "interrupted; no file was left half-written", 143: "ended by SIGTERM; no file was left half-written"}
 
 
 def _run() -> None:

@@ -10,11 +10,13 @@ import contextlib
 import dataclasses
 import hashlib
 import json
+import math
 import multiprocessing
 import signal
 import sys
 import tempfile
 import threading
+import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future
@@ -24,7 +26,7 @@ from importlib import metadata
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from types import FrameType
 from typing import Any
 
@@ -37,7 +39,7 @@ from chromaperture.model.camera_file import Calibration
 from chromaperture.products import archive_store as store
 from chromaperture.products.measure_file import Written, measure_only
 from chromaperture.settings.methods import Config
-from chromaperture.system.cluster import check_version, connected, run_tasks
+from chromaperture.system.cluster import CHECK_EVERY_S, Waiting, check_version, connected, run_tasks
 from chromaperture.system.errors import CaptureWarning, ChromapertureError, InputError
 from chromaperture.system.threads import beside, limited_opencv_threads, limited_threads, thread_count
 
@@ -248,10 +250,13 @@ def _mark(folder: str, stem: str) -> Any:
     return content.get("made_from") if isinstance(content, dict) else None
 
 
-def measure_on_cluster(images: Iterable[str], recipe: Recipe, address: str) -> Iterator[Outcome]:
+def measure_on_cluster(
+    images: Iterable[str], recipe: Recipe, address: str, *, waiting_for: Waiting = lambda task, worker, seconds: None
+) -> Iterator[Outcome]:
     """Measure photographs on a scheduler's workers, outcomes as they finish; the same call resumes."""
     with connected(address) as client:
-        for finished in run_tasks(client, measure_photograph, map(store.absolute, images), recipe):
+        tasks = map(store.absolute, images)
+        for finished in run_tasks(client, measure_photograph, tasks, recipe, waiting_for=waiting_for):
             error = finished.error
             if isinstance(error, ImportError | AttributeError):  # a module or a name of this version is missing there
                 raise InputError(f"a worker cannot run this version's code ({error}): install the same everywhere")
@@ -330,10 +335,14 @@ def _one_line(error: BaseException) -> str:
 
 
 STOP_S = 30.0  # for a process to remove half-written files after it was asked to end; chosen by hand
+HANG_S = 900.0  # after which a process that does not answer is ended: 100 megapixels take some minutes; by hand
+HUNG = f"the process that measured it did not answer for {HANG_S / 60:.0f} min and was ended; run again"
 DIED = "the process that measured it died, perhaps for lack of memory; run again with fewer --jobs"
 
 
-def measure_in_processes(images: Sequence[str], recipe: Recipe, *, jobs: int) -> Iterator[Outcome]:
+def measure_in_processes(
+    images: Sequence[str], recipe: Recipe, *, jobs: int, waiting_for: Waiting = lambda task, worker, seconds: None
+) -> Iterator[Outcome]:
     """Measure photographs, by absolute paths, ``jobs`` at a time, in processes; yields as they finish."""
     waiting, lock = iter(images), threading.Lock()
     finished: SimpleQueue[Outcome] = SimpleQueue()
@@ -350,14 +359,21 @@ def measure_in_processes(images: Sequence[str], recipe: Recipe, *, jobs: int) ->
                 worker = worker or pool.start_worker()
                 outcome = worker.measure(image)
                 if outcome is None:
-                    worker, outcome = None, Outcome(image, DIED)
+                    outcome = Outcome(image, HUNG if worker.is_given_up else DIED)
+                    worker = None
                 finished.put(outcome)
 
     try:
         for _ in range(min(jobs, len(images))):
             threading.Thread(target=measure_waiting, daemon=True, name="chromaperture-job").start()
         for _ in images:
-            yield finished.get()
+            while True:
+                try:
+                    outcome = finished.get(timeout=CHECK_EVERY_S)
+                    break
+                except Empty:
+                    pool.look(waiting_for)
+            yield outcome
     finally:
         pool.stop()
 
@@ -371,14 +387,19 @@ class _Worker:
 
     def __init__(self, process: BaseProcess, pipe: Connection) -> None:
         self.process, self._pipe = process, pipe
+        self.image, self.began = "", math.inf  # what is being measured, and since when on the monotonic clock
+        self.is_given_up = False
 
     def measure(self, image: str) -> Outcome | None:
         """Return what became of a photograph; None where the process died."""
+        self.image, self.began = image, time.monotonic()
         try:
             self._pipe.send(image)
             outcome: Outcome = self._pipe.recv()
         except (EOFError, OSError):
             return None
+        finally:
+            self.began = math.inf
         return outcome
 
 
@@ -404,6 +425,18 @@ class _WorkerPool:
             worker = _Worker(process, own)
             self._workers.append(worker)
             return worker
+
+    def look(self, waiting_for: Waiting) -> None:
+        """Tell which photograph has taken longest, and end a process that has hung."""
+        with self._lock:
+            worker = min(self._workers, key=lambda worker: worker.began, default=None)
+        if worker is None or worker.began == math.inf:
+            return
+        seconds = time.monotonic() - worker.began
+        waiting_for(worker.image, f"process {worker.process.pid}", seconds)
+        if seconds > HANG_S:
+            worker.is_given_up = True
+            worker.process.kill()  # unlike SIGTERM it ends a process that is stopped
 
     def stop(self) -> None:
         """End all processes; what they were writing is removed."""

@@ -7,7 +7,9 @@ import glob
 import hashlib
 import json
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import unquote, urlsplit
@@ -16,6 +18,7 @@ from chromaperture.capture.shots import counted, one_of_each
 from chromaperture.system.errors import ChromapertureError, InputError, needed
 from chromaperture.system.validation import as_text
 
+_TRANSFER_S = 600.0  # of one object: 6 GB at 10 MB/s; chosen by hand
 # Stores where an object appears whole when its upload ends, so that it needs no temporary name.
 _WHOLE_OBJECTS = {"s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oss", "oci", "memory"}
 
@@ -125,7 +128,7 @@ def fetch(url: str, path: Path) -> None:
     """Copy an object to a file; raises InputError, or StoreError where another attempt may succeed."""
     with _reported("read", url):
         store, inside = _opened(url)
-        store.get_file(inside, str(path))
+        _within(_TRANSFER_S, lambda: store.get_file(inside, str(path)))
 
 
 def read_json(folder: str, name: str) -> Any:
@@ -173,14 +176,32 @@ def upload(files: Iterable[Path], folder: str) -> None:
         protocols = {store.protocol} if isinstance(store.protocol, str) else set(store.protocol)
         if not protocols & _WHOLE_OBJECTS:
             store.makedirs(inside, exist_ok=True)
+        is_whole = bool(protocols & _WHOLE_OBJECTS)
         for file in files:
             name = f"{inside.rstrip('/')}/{file.name}"
-            if protocols & _WHOLE_OBJECTS:
-                store.put_file(str(file), name)
-            else:
-                temporary = f"{inside.rstrip('/')}/.chromaperture-{file.name}"
-                store.put_file(str(file), temporary)
-                store.mv(temporary, name)
+            written = name if is_whole else f"{inside.rstrip('/')}/.chromaperture-{file.name}"
+            _within(_TRANSFER_S, partial(store.put_file, str(file), written))
+            if not is_whole:
+                store.mv(written, name)
+
+
+def _within(seconds: float, transfer: Callable[[], Any]) -> None:
+    """Transfer one object; raises TimeoutError where a store's own attempts do not end: its thread is left behind."""
+    failures: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            transfer()
+        except BaseException as error:  # raised below
+            failures.append(error)
+
+    thread = threading.Thread(target=run, daemon=True, name="chromaperture-transfer")
+    thread.start()
+    thread.join(seconds)
+    if thread.is_alive():
+        raise TimeoutError(f"no end within {seconds / 60:.0f} min")
+    if failures:
+        raise failures[0]
 
 
 def _opened(url: str) -> tuple[Any, str]:

@@ -17,6 +17,9 @@ from chromaperture.system.errors import InputError, needed
 T = TypeVar("T")
 
 CONNECT_S, WORKERS_S = 10, 60  # time limits for the scheduler's answer and for the first worker; chosen by hand
+# Called while a task is waited for: the task, its worker, and the seconds since the scheduler gave it to this one.
+Waiting = Callable[[Any, str, float], None]
+
 CHECK_EVERY_S = 2.0  # between two looks for workers while no result arrives; chosen by hand
 AT_ONCE = 1000  # tasks at the scheduler at a time, which bounds its memory and the client's; chosen by hand
 # A task that raises is run so many times again; one that returns is not. Chosen by hand.
@@ -75,6 +78,7 @@ def run_tasks(
     tasks: Iterable[T],
     *shared: Any,
     key_of: Callable[[T], str] | None = None,
+    waiting_for: Waiting = lambda task, worker, seconds: None,
 ) -> Iterator[TaskResult[T]]:
     """Run ``function(task, *shared)`` on the workers, for every task.
 
@@ -83,7 +87,8 @@ def run_tasks(
 
     ``client``: from `connected`; ``function``: of a module that the workers have too; ``tasks``: no more than `AT_ONCE`
     are taken from it ahead of the results; ``*shared``: sent to each worker once, and again to workers that join;
-    ``key_of``: name of a task at the scheduler, which runs equal names once; every task when absent. Yields as they
+    ``key_of``: name of a task at the scheduler, which runs equal names once; every task when absent;
+    ``waiting_for``: see `Waiting`, of the task that has taken longest, while no result arrives. Yields as they
     finish; ``error`` is a `WorkersDiedError`, or what the function raised in the last of its attempts. Raises
     InputError: the scheduler was lost, or no worker is left.
     """
@@ -98,11 +103,24 @@ def run_tasks(
         running[future] = task
         future.add_done_callback(finished.put)
 
+    seen: dict[tuple[str, str], float] = {}  # when a task was first seen at a worker
+
+    def look() -> None:
+        now = time.monotonic()
+        at = [(key, worker) for worker, keys in client.processing().items() for key in keys]
+        tasks_of = {future.key: task for future, task in running.items()}
+        begun = {place: seen.get(place, now) for place in at if place[0] in tasks_of}
+        seen.clear()
+        seen.update(begun)
+        if begun:
+            key, worker = min(begun, key=lambda place: begun[place])
+            waiting_for(tasks_of[key], worker, now - begun[key, worker])
+
     waiting, suspects = iter(tasks), list[T]()
     for task in islice(waiting, AT_ONCE):
         submit(task)
     while running:
-        future = _wait_with_timeout(client, lambda seconds: finished.get(timeout=seconds))
+        future = _wait_with_timeout(client, lambda seconds: finished.get(timeout=seconds), look)
         result = _finished(running.pop(future), future, client)
         del future  # the scheduler forgets the result
         for task in islice(waiting, 1):
@@ -113,7 +131,7 @@ def run_tasks(
             yield result
     for task in suspects:
         submit(task)
-        future = _wait_with_timeout(client, lambda seconds: finished.get(timeout=seconds))
+        future = _wait_with_timeout(client, lambda seconds: finished.get(timeout=seconds), look)
         yield _finished(running.pop(future), future, client)
 
 
@@ -121,7 +139,7 @@ def _same(argument: T) -> T:
     return argument
 
 
-def _wait_with_timeout(client: Any, wait: Callable[[float], T]) -> T:
+def _wait_with_timeout(client: Any, wait: Callable[[float], T], look: Callable[[], None] = lambda: None) -> T:
     """Repeat a wait that ends in TimeoutError or Empty while the scheduler and its workers are there."""
     last_seen = time.monotonic()
     while True:
@@ -130,6 +148,7 @@ def _wait_with_timeout(client: Any, wait: Callable[[float], T]) -> T:
         except (Empty, TimeoutError):
             try:
                 workers = client.ncores()
+                look()
             except (OSError, RuntimeError, ValueError):
                 raise _lost(client) from None
             if workers:

@@ -103,6 +103,7 @@ def write_session(
     truth = folder / "truth"
     lines = ["file,ruler_mm"]
     stood = {}
+
     def take_all() -> None:
         nonlocal total
         for distance in plan.distances_mm:
