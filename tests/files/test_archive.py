@@ -362,6 +362,6 @@ def test_wrong_use_is_one_line(run, tmp_path, monkeypatch):
 def test_a_list_is_measured_without_a_cluster_too(run, tmp_path):
     images = photographs(tmp_path / "in", 2)
     (tmp_path / "list.txt").write_text("\n".join(map(str, images)))
-    command = ("depth", "--files-from", tmp_path / "list.txt", "-c", CAMERA, "--quality=real-time", "--write=depth", "-q")
+    command = ("depth", "--files-from", tmp_path / "list.txt", "-c", CAMERA, "--quality=real-time", "--write=depth")
     assert run(*command).returncode == 0
     assert {path.name for path in (tmp_path / "in").glob("*.tiff")} == {"p0.depth.tiff", "p1.depth.tiff"}
