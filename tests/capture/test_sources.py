@@ -218,6 +218,8 @@ def test_odd_files_in_a_folder_are_said_and_skipped(tmp_path):
         ("webcam?width=nan", "whole number"),
         ("aravis?focus=3", "no setting 'focus'"),
         ("gphoto2?focus=3", "no setting 'focus'"),
+        ("pylon?focus=3", "no setting 'focus'"),
+        ("gentl?focus=3", "no setting 'focus'"),
     ],
 )
 def test_a_source_that_is_not_there_says_so(spec, word):
@@ -227,7 +229,7 @@ def test_a_source_that_is_not_there_says_so(spec, word):
 
 def test_every_kind_of_camera_is_listed_or_says_why_not():
     kinds = {c.kind: c for c in connected_sources()}
-    assert set(kinds) == {"webcam", "aravis", "gphoto2", "picamera2"}
+    assert set(kinds) == {"webcam", "aravis", "gphoto2", "picamera2", "pylon", "gentl"}
     assert all(c.specs or c.note for c in kinds.values())
 
 
@@ -479,7 +481,8 @@ def test_the_cameras_levels_serve_where_a_file_can_hold_them(tmp_path):
 
 @pytest.mark.parametrize(
     ("module", "spec", "extra"),
-    [("rawpy", "photo.cr2", "raw"), ("gi", "aravis:any", "cameras"), ("gphoto2", "gphoto2", "cameras")],
+    [("rawpy", "photo.cr2", "raw"), ("gi", "aravis:any", "cameras"), ("gphoto2", "gphoto2", "cameras"),
+     ("pypylon", "pylon:any", "pylon"), ("harvesters", "gentl:any", "gentl")],
 )
 def test_a_missing_extra_is_named(tmp_path, monkeypatch, module, spec, extra):
     monkeypatch.setitem(sys.modules, module, None)  # importing it fails

@@ -49,6 +49,7 @@ NOT_RUN = {
     "record picamera2": "no camera here: test_picamera.py has a stand-in",
     "check neutral.jpg": "no prints here: test_siting_check.py makes some",
     "serve": "until Ctrl-C: test_app_server.py asks it",
+    "live pylon": "no camera here: test_pylon.py has emulated ones",
     "live webcam": "no camera here: test_live.py shows a simulated one, test_streams.py streams",
 }
 # A command by its beginning, with the extra and the module that it needs; run where that is installed.

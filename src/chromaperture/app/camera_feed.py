@@ -156,7 +156,7 @@ def _shown_name(spec: str) -> str:
     text, kind = spec.partition("?")[0], spec.partition(":")[0]
     if kind in ("replay", "simulate"):
         return f"{kind}:{Path(text.partition(':')[2]).name}"
-    return text if kind in ("webcam", "aravis", "picamera2", "gphoto2") else Path(text).name or text
+    return text if kind in ("webcam", "aravis", "pylon", "gentl", "picamera2", "gphoto2") else Path(text).name or text
 
 
 def preview_jpeg(frame: Frame) -> bytes:

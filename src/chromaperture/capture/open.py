@@ -13,8 +13,10 @@ from urllib.parse import parse_qsl
 
 from chromaperture.capture.aravis import AravisCamera, aravis_cameras
 from chromaperture.capture.folder import FolderSource
+from chromaperture.capture.gentl import GenTLCamera, gentl_cameras
 from chromaperture.capture.gphoto import TetheredCamera, tethered_cameras
 from chromaperture.capture.picamera import PiCamera, pi_cameras
+from chromaperture.capture.pylon import PylonCamera, pylon_cameras
 from chromaperture.capture.recording import ReplaySource
 from chromaperture.capture.shots import VIDEOS
 from chromaperture.capture.simulated import SimulatedSource
@@ -25,7 +27,13 @@ from chromaperture.capture.webcam import Webcam, webcams
 from chromaperture.color.encoding import Encoding
 from chromaperture.system.errors import InputError, MissingDependencyError
 
-_DEVICES: dict[str, Callable[..., Any]] = {"webcam": Webcam, "aravis": AravisCamera, "picamera2": PiCamera}
+_DEVICES: dict[str, Callable[..., Any]] = {
+    "webcam": Webcam,
+    "aravis": AravisCamera,
+    "pylon": PylonCamera,
+    "gentl": GenTLCamera,
+    "picamera2": PiCamera,
+}
 _FILES: dict[str, Callable[..., FileSource]] = {
     "gphoto2": TetheredCamera,
     "replay": ReplaySource,
@@ -37,20 +45,28 @@ _SWITCH = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no
 
 
 def open_source(
-    spec: str, *, listener: Listener | None = None, camera_encoding: Encoding | None = None, **settings: Any
+    spec: str,
+    *,
+    listener: Listener | None = None,
+    camera_encoding: Encoding | None = None,
+    camera_size_px: tuple[int, int] | None = None,
+    **settings: Any,
 ) -> Source:
     """Make a source from a text; entering it opens it.
 
     Parameters
     ----------
     spec : str
-        ``webcam:0``, ``aravis:SERIAL``, ``picamera2:0``, ``gphoto2``, ``simulate:FOLDER``, ``replay:FOLDER``, or the
-        path of a folder, a glob, a picture or a video. Settings may follow: ``webcam:0?exposure_us=5000&gain=2``,
-        ``folder?fps=5``. All but cameras deliver frame by frame, or like a live camera with ``speed=1`` or ``loop=1``.
+        ``webcam:0``, ``aravis:SERIAL``, ``pylon:SERIAL``, ``gentl:SERIAL``, ``picamera2:0``, ``gphoto2``,
+        ``simulate:FOLDER``, ``replay:FOLDER``, or the path of a folder, a glob, a picture or a video. Settings may
+        follow: ``webcam:0?exposure_us=5000&gain=2``, ``folder?fps=5``. All but cameras deliver frame by frame, or like
+        a live camera with ``speed=1`` or ``loop=1``.
     listener : callable, optional
         Called with every `Event`, possibly from another thread; default: Python's logging.
     camera_encoding : Encoding, optional
         `CameraSensor.encoding` of the camera file, for pictures whose levels nobody gave.
+    camera_size_px : (int, int), optional
+        Width and height of the camera file's frame: reading another part of the sensor raises InputError.
     **settings
         The same settings as arguments; None is not given.
 
@@ -63,8 +79,17 @@ def open_source(
     InputError
         Unknown kind or setting, or a value that is not a number.
     """
+    source = _made(spec, listener, camera_encoding, {n: value for n, value in settings.items() if value is not None})
+    source.camera_size_px = camera_size_px
+    return source
+
+
+def _made(
+    spec: str, listener: Listener | None, camera_encoding: Encoding | None, settings: dict[str, Any]
+) -> LiveSource | FileSource:
+    """Make the source; settings replace those of the text."""
     kind, place, given = _parsed(spec)
-    settings = given | {name: value for name, value in settings.items() if value is not None}
+    settings = given | settings
     if kind in _DEVICES:
         device, chosen = _DEVICES[kind], _checked(kind, _DEVICES[kind], settings, camera_encoding)
         name = f"{kind}:{place}" if place else kind
@@ -153,6 +178,8 @@ def connected_sources() -> list[Connected]:
         "aravis": aravis_cameras,
         "gphoto2": tethered_cameras,
         "picamera2": pi_cameras,
+        "pylon": pylon_cameras,
+        "gentl": gentl_cameras,
     }
     kinds = []
     for kind, cameras in ways.items():

@@ -14,7 +14,7 @@ from chromaperture.system.errors import InputError
 _ORDER = ("12", "12p", "12Packed", "10", "10p", "10Packed", "16", "8")
 _BAYER = re.compile(r"Bayer(RG|BG|GR|GB)(8|10|12|16|10p|12p|10Packed|12Packed)")
 _PATTERNS = {"RG": "RGGB", "BG": "BGGR", "GR": "GRBG", "GB": "GBRG"}
-_RGB = ("RGB8", "RGB8Packed")
+_RGB = {"RGB8": 3, "RGB8Packed": 3, "RGBa8": 4}  # bytes of a pixel; the fourth is transparency
 
 
 def best_format(available: list[str]) -> str:
@@ -32,6 +32,25 @@ def best_format(available: list[str]) -> str:
     )
 
 
+def chosen_format(wanted: str | None, available: list[str]) -> str:
+    """Return the pixel format that was asked for, or the best; raises InputError where it cannot be."""
+    if wanted is None:
+        return best_format(available)
+    bits_of(wanted)
+    if wanted not in available:
+        raise InputError(f"the camera has no pixel format {wanted}: choose {', '.join(available)}")
+    return wanted
+
+
+def bits_of(pixel_format: str) -> int:
+    """Return the bits of a colour; raises InputError for a format that is not read."""
+    if pixel_format in _RGB:
+        return 8
+    if found := _BAYER.fullmatch(pixel_format):
+        return int(re.sub(r"\D", "", found[2]))
+    raise InputError(f"pixel format {pixel_format} is not read; choose Bayer (8 to 16 bit) or RGB8")
+
+
 def unpack(
     data: bytes | np.ndarray,
     width: int,
@@ -40,27 +59,24 @@ def unpack(
     black_level: float = 0.0,
     white_level: float | None = None,
 ) -> tuple[np.ndarray, Encoding]:
-    """Convert the bytes of a picture of Bayer in 8 to 16 bits, packed or not, or of RGB8; raises InputError."""
+    """Convert the bytes of a picture: Bayer in 8 to 16 bits, packed or not, RGB8 or RGBa8; raises InputError."""
     raw = np.frombuffer(data, np.uint8) if isinstance(data, bytes) else data.ravel().view(np.uint8)
     if pixel_format in _RGB:
-        counts = _first(raw, 3 * width * height, pixel_format).reshape(height, width, 3).copy()
+        size = _RGB[pixel_format]
+        counts = _first(raw, size * width * height, pixel_format).reshape(height, width, size)[..., :3].copy()
         return counts, Encoding(black_level, white_level or 255.0)
-    found = _BAYER.fullmatch(pixel_format)
-    if found is None:
-        raise InputError(f"pixel format {pixel_format} is not read; choose Bayer (8 to 16 bit) or RGB8")
-    bits = int(re.sub(r"\D", "", found[2]))
-    number = width * height
-    if found[2] == "8":
+    bits, number = bits_of(pixel_format), width * height
+    order, packing = pixel_format[5:7], pixel_format[7:]
+    if packing == "8":
         mosaic = _first(raw, number, pixel_format)
-    elif found[2].isdigit():
+    elif packing.isdigit():
         mosaic = _first(raw, 2 * number, pixel_format).view("<u2")
-    elif found[2].endswith("p"):
+    elif packing.endswith("p"):
         mosaic = _of_stream(_first(raw, -(-number * bits // 8), pixel_format), bits, number)
     else:
         mosaic = _of_pairs(_first(raw, -(-number * 3 // 2), pixel_format), bits, number)
-    pattern = _PATTERNS[found[1]]
     white = white_level or 2**bits - 1
-    return superpixels(mosaic.reshape(height, width), pattern, black_level=black_level, white_level=white)
+    return superpixels(mosaic.reshape(height, width), _PATTERNS[order], black_level=black_level, white_level=white)
 
 
 def _first(raw: np.ndarray, number: int, pixel_format: str) -> np.ndarray:

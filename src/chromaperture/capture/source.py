@@ -44,7 +44,7 @@ class Frame:
         return develop_counts(self.counts, self.encoding)
 
 
-EventKind = Literal["lost", "reconnected", "size", "dark", "skipped", "missing", "turned", "siting"]
+EventKind = Literal["lost", "reconnected", "size", "dark", "skipped", "missing", "clock", "turned", "siting"]
 
 
 @dataclass(frozen=True)
@@ -114,6 +114,7 @@ class FileSource:
     live = False
     dropped = 0
     total = 0  # frames, as far as is known before they are read; 0 unknown
+    camera_size_px = None
 
     @property
     def name(self) -> str:
@@ -128,7 +129,7 @@ class FileSource:
         self.close()
 
     def __iter__(self) -> Iterator[Frame]:
-        yield from steady(self.frames(), self.listener or log_event)
+        yield from steady(self.frames(), self.listener or log_event, self.camera_size_px)
 
     def report(self, kind: EventKind, message: str) -> None:
         """Tell the listener of an event."""
@@ -159,11 +160,18 @@ class PictureSource(FileSource):
         return Levels(black_level=self.black_level, white_level=self.white_level, camera_encoding=self.camera_encoding)
 
 
-def steady(frames: Iterable[Frame], listener: Listener) -> Iterator[Frame]:
-    """Pass frames of the first one's size; report once when others arrive, and when the picture goes dark."""
+def steady(
+    frames: Iterable[Frame], listener: Listener, camera_size_px: tuple[int, int] | None = None
+) -> Iterator[Frame]:
+    """Pass frames of the first one's size; report once when others arrive, and when the picture goes dark.
+
+    Raises InputError for frames that are another part of the sensor than those that a camera was calibrated with.
+    """
     shape: tuple[int, ...] | None = None
     odd = dark = False
     for frame in frames:
+        if shape is None and camera_size_px is not None:
+            _check_region(frame, camera_size_px)
         shape = shape or frame.counts.shape
         if frame.counts.shape != shape:
             if not odd:
@@ -177,6 +185,16 @@ def steady(frames: Iterable[Frame], listener: Listener) -> Iterator[Frame]:
         if dark and not was_dark:
             listener(Event("dark", f"frame {frame.index} is all black; lens cap, exposure or levels?"))
         yield frame
+
+
+def _check_region(frame: Frame, camera_size_px: tuple[int, int]) -> None:
+    """Raise InputError for another part of the sensor: of the same aspect it would be measured as a smaller picture."""
+    height, width = frame.counts.shape[:2]
+    if "region_px" in frame.metadata and (width, height) != camera_size_px:
+        raise InputError(
+            f"frames are {width}x{height} px of the sensor, the camera file is for {camera_size_px[0]}x"
+            f"{camera_size_px[1]}: set width and height as for its calibration, or calibrate with these"
+        )
 
 
 def is_dark(frame: Frame) -> bool:

@@ -39,6 +39,7 @@ class Arrival:
     incomplete: int = 0
     lost: int = 0
     advice: str = ""  # against what is incomplete or lost
+    clock: str = ""  # what the camera's clock did, where that is to be told
 
 
 class Device(Protocol):
@@ -60,6 +61,7 @@ class LiveSource:
     """
 
     live = True
+    camera_size_px: tuple[int, int] | None = None
 
     def __init__(
         self,
@@ -114,7 +116,7 @@ class LiveSource:
             self._ready.notify_all()
 
     def __iter__(self) -> Iterator[Frame]:
-        yield from steady(self._newest(), self._listener)
+        yield from steady(self._newest(), self._listener, self.camera_size_px)
 
     def _newest(self) -> Iterator[Frame]:
         while True:
@@ -172,6 +174,8 @@ class LiveSource:
     def _arrived(self, arrival: Arrival, index: int) -> int:
         """Count what the camera sent, report what is missing, and pass the frame on; returns the next one's number."""
         self._report(arrival)
+        if arrival.clock:
+            self._listener(Event("clock", f"{self.name}: {arrival.clock}"))
         index += arrival.skipped + arrival.incomplete + arrival.lost
         if arrival.frame is None:
             return index

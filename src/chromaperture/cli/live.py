@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 def live(
-    source: Annotated[str, typer.Argument(help="webcam:0, aravis:SERIAL, 'replay:FOLDER?speed=1&loop=1', ...")],
+    source: Annotated[str, typer.Argument(help="webcam:0, pylon:SERIAL, 'replay:FOLDER?speed=1&loop=1', ...")],
     camera: Camera,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of snapshots and recordings.")] = Path("live"),
     quality: Quality = "real-time",

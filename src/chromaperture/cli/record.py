@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def record(
     source: Annotated[
-        str, typer.Argument(help="webcam:0, aravis:SERIAL, gphoto2, a folder, 'a glob' or a video.", metavar="SOURCE")
+        str, typer.Argument(help="webcam:0, pylon:SERIAL, gphoto2, a folder, 'a glob' or a video.", metavar="SOURCE")
     ],
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder of the recording; must not hold one yet.")],
     camera: Annotated[

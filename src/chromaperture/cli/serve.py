@@ -24,7 +24,7 @@ def serve(
         list[str] | None,
         typer.Option(
             "--source",
-            help="Camera of this computer for the assistant, repeatable: webcam:0, aravis:SERIAL, gphoto2, "
+            help="Camera of this computer for the assistant, repeatable: webcam:0, pylon:SERIAL, gphoto2, "
             "replay:FOLDER, a video. Pages can use only these.",
         ),
     ] = None,

@@ -69,10 +69,12 @@ def open_stream(
     say: Callable[[str], None] = say_warning,
 ) -> Source:
     """Create a source whose events go to ``say``, from its thread; levels override the camera's and the file's."""
+    sensor = None if calibration is None else calibration.sensor
     return open_source(
         source,
         listener=lambda event: say(event.message),
-        camera_encoding=None if calibration is None else calibration.sensor.encoding,
+        camera_encoding=None if sensor is None else sensor.encoding,
+        camera_size_px=None if sensor is None else (sensor.width_px, sensor.height_px),
         black_level=black_level,
         white_level=white_level,
     )
