@@ -4,24 +4,33 @@ from __future__ import annotations
 
 import base64
 import json
+import runpy
+import shutil
 import struct
+import sys
 import threading
 import time
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
 from apps import free_port
 from chromaperture.products.foxglove_stream import FoxgloveStream, address
 from chromaperture.products.mcap import write_mcap
-from chromaperture.products.rectified import View, encoded_depth
+from chromaperture.products.rectified import View, encoded_depth, stamp_ns
 from chromaperture.products.samples import sample_camera, sample_image
 from chromaperture.system.errors import InputError
 
 MATRIX = np.array([[500.0, 0, 4], [0, 501, 3], [0, 0, 1]])
 TOPICS = {"/camera/camera_info": "CameraCalibration", "/camera/depth/points": "PointCloud", "/tf": "FrameTransform"}
 TOPICS |= {f"/camera/{part}/image_rect": "RawImage" for part in ("color", "depth", "sigma", "confidence")}
+ROS_TOPICS = {topic for topic in TOPICS if topic.endswith("image_rect")}
+ROS_TOPICS |= {f"/camera/{part}/camera_info" for part in ("color", "depth")}
 SAMPLE = "still_life_cy_halves"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def view(time_s=1.75e9 + 0.125):
@@ -247,13 +256,14 @@ def test_exported_messages_are_read_by_other_libraries(tmp_path, read):
     parts, found = ("color", "depth", "sigma", "confidence"), {}
     for topic, message in read(path):
         found.setdefault(topic, []).append(message)
-    assert sorted(found) == sorted(f"/camera/{p}/{n}" for p in parts for n in ("camera_info", "image_rect"))
+    assert set(found) == ROS_TOPICS
     for i, expected in enumerate(sent):
         color, depth, sigma, confidence = (found[f"/camera/{part}/image_rect"][i] for part in parts)
         assert (color.encoding, depth.encoding, sigma.encoding, confidence.encoding) == (
             "rgb8", "16UC1", "32FC1", "32FC1")  # fmt: skip
         assert (depth.height, depth.width, depth.step, depth.is_bigendian, sigma.step) == (6, 8, 16, 0, 32)
-        assert depth.header.frame_id == "camera_optical_frame"
+        frames = [m.header.frame_id for m in (color, depth, sigma, confidence)]
+        assert frames == ["camera_optical_frame"] * 2 + [""] * 2  # rerun projects what has one
         mm, bars, shares = (
             np.frombuffer(bytes(part.data), kind).reshape(6, 8)
             for part, kind in ((depth, "<u2"), (sigma, "<f4"), (confidence, "<f4"))
@@ -271,3 +281,86 @@ def test_exported_messages_are_read_by_other_libraries(tmp_path, read):
     with pytest.raises(InputError, match="no frame"):
         write_mcap(tmp_path / "none.mcap", [], camera_matrix=MATRIX)
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_the_first_frame_of_a_file_has_a_time():
+    # ROS has no other word than 0 for "no time"; 1 microsecond is what PCL keeps of it.
+    stamps = [stamp_ns(time_s) for time_s in (0.0, 1 / 30, 12.25, 1.75e9 + 0.125)]
+    assert stamps == [1000, 33_333_333, 12_250_000_000, 1_750_000_000_125_000_000]
+
+
+def ros_message(store, kind, fields):
+    """A message of ROS's own definition; a field that it does not have, or that is missing, is an error."""
+    from rosbags.interfaces import Nodetype
+
+    made = {}
+    for name, (node, what) in store.fielddefs[kind][1]:
+        value = fields.pop(name)
+        if node == Nodetype.NAME:
+            value = ros_message(store, what, dict(value))
+        elif node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+            numbers = {"uint8": np.uint8, "float64": np.float64}[what[0][1][0]]
+            value = np.frombuffer(value, numbers) if isinstance(value, bytes) else np.array(value, numbers)
+            assert len(value) == (what[1] or len(value))
+        made[name] = value
+    assert not fields, f"{kind} has no {list(fields)}"
+    return store.types[kind](**made)
+
+
+@pytest.fixture
+def ros(monkeypatch):
+    """A stand-in for rclpy and rosidl_runtime_py that keeps what is published, made of ROS's own definitions."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store, sent, asked = get_typestore(Stores.ROS2_JAZZY), [], {}
+
+    class Node:
+        def __init__(self, name):
+            assert name == "chromaperture"
+
+        def declare_parameter(self, name, default):
+            return SimpleNamespace(value=asked.get(name, default))
+
+        def create_publisher(self, kind, topic, depth):
+            return SimpleNamespace(publish=lambda message: sent.append((topic, message)))
+
+        def get_logger(self):
+            return SimpleNamespace(warning=lambda line: sent.append(("log", line)))
+
+    def get_message(kind):
+        return type(kind, (), {"kind": kind})
+
+    def set_message_fields(message, fields):
+        message.made = ros_message(store, message.kind, dict(fields))
+
+    names = ("rclpy", "rclpy.node", "rosidl_runtime_py", "rosidl_runtime_py.utilities")
+    made = {name: ModuleType(name) for name in names}
+    made["rclpy"].ok = made["rclpy"].init = made["rclpy"].try_shutdown = lambda: True
+    made["rclpy.node"].Node = Node
+    made["rosidl_runtime_py"].set_message_fields = set_message_fields
+    made["rosidl_runtime_py.utilities"].get_message = get_message
+    for name, module in made.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    return SimpleNamespace(store=store, sent=sent, asked=asked)
+
+
+@pytest.mark.extra("ros", "mcap_ros2")
+@pytest.mark.extra("readers", "rosbags")
+def test_the_node_publishes_the_messages_of_an_exported_file(ros, tmp_path, run):
+    from mcap.reader import make_reader
+
+    photo, camera, path = shutil.copy(sample_image(SAMPLE), tmp_path / "0.png"), sample_camera(SAMPLE), tmp_path / "a"
+    cv2.imwrite(str(tmp_path / "1.png"), np.zeros_like(cv2.imread(str(photo), -1)))
+    ros.asked.update(camera=str(camera), source=str(tmp_path / "*.png"))
+    runpy.run_path(str(EXAMPLES / "ros2_node.py"), run_name="__main__")
+    assert ros.sent[-1][0] == "log"
+    assert "frame 1 is left out: " in ros.sent.pop()[1]
+    assert {topic for topic, _ in ros.sent} == ROS_TOPICS
+    assert run("export", photo, path, "--camera", camera, "--format", "mcap", "-q").returncode == 0
+    with path.open("rb") as file:
+        stored = {c.topic: (schema.name, message) for schema, c, message in make_reader(file).iter_messages()}
+    for topic, message in ros.sent:
+        kind, written = stored[topic]
+        assert kind == message.kind
+        assert bytes(ros.store.serialize_cdr(message.made, kind)) == written.data
+        assert (message.made.header.stamp.sec, message.made.header.stamp.nanosec, written.log_time) == (0, 1000, 1000)

@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import pytest
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 import chromaperture as cap
 from chromaperture.files.depth_photo import dynamic_depth_jpeg, encode_depth, gdepth_jpeg, with_xmp
@@ -284,7 +285,7 @@ def test_exr_holds_depth_error_bar_and_confidence(tmp_path, run):
     import OpenEXR
 
     image, camera = cap.sample_image(SAMPLE), cap.sample_camera(SAMPLE)
-    names = "exr,depth,sigma"
+    names = "exr,exr-layers,depth,sigma"
     wanted = ("--out", tmp_path, "--write", names, "--quality=real-time", "-q")
     assert run("depth", image, "--camera", camera, *wanted).returncode == 0
     with OpenEXR.File(str(tmp_path / f"{SAMPLE}.exr"), separate_channels=True) as file:
@@ -295,10 +296,19 @@ def test_exr_holds_depth_error_bar_and_confidence(tmp_path, run):
     np.testing.assert_allclose(channels["Z"] + header["sensor_to_pupil_mm"], depth, rtol=1e-6)
     np.testing.assert_array_equal(channels["sigma_mm"], sigma)
     assert header["focal_length_x_px"] == pytest.approx(1664.8, abs=0.1)
+    # Blender 5.0 offers Combined, Depth, sigma_mm and confidence of these names; without Blender, the names alone.
+    with OpenEXR.File(str(tmp_path / f"{SAMPLE}.layers.exr"), separate_channels=True) as file:
+        layers = {n.removeprefix("V."): np.array(c.pixels) for n, c in file.channels().items()}
+    plain = {"Combined.R": "R", "Combined.G": "G", "Combined.B": "B", "Depth.Z": "Z", "sigma_mm.V": "sigma_mm"}
+    plain["confidence.V"] = "confidence"
+    assert set(layers) == set(plain)
+    for layer, name in plain.items():
+        np.testing.assert_array_equal(layers[layer], channels[name])
     # Our own reader, for `view` and `compare`.
-    alone = shutil.copy(tmp_path / f"{SAMPLE}.exr", tmp_path / "alone.exr")
-    compared = run("compare", tmp_path / f"{SAMPLE}.depth.tiff", alone, "--json")
-    assert json.loads(compared.stdout)["difference_mm"]["median_absolute"] < 1e-3
+    for suffix in (".layers.exr", ".exr"):
+        alone = shutil.copy(tmp_path / f"{SAMPLE}{suffix}", tmp_path / f"alone{suffix}")
+        compared = run("compare", tmp_path / f"{SAMPLE}.depth.tiff", alone, "--json")
+        assert json.loads(compared.stdout)["difference_mm"]["median_absolute"] < 1e-3
     assert run("view", alone, "--out", tmp_path / "page.html").returncode == 0
     assert "confidence" in (tmp_path / "page.html").read_text()
     (tmp_path / "bad.exr").write_bytes((tmp_path / "alone.exr").read_bytes()[:-1000])
@@ -411,13 +421,69 @@ def test_open3d_reads_its_folder(tmp_path, rng):
     np.testing.assert_allclose(np.asarray(picture.depth)[10:], views[0].z_mm[10:] / 1000, atol=6e-4)  # whole mm
 
 
+@pytest.mark.extra("reconstruct", "open3d")
+def test_open3d_fuses_its_folder(tmp_path, rng):
+    import open3d
+    from open3d.core import Tensor
+
+    views, poses = walk(rng)
+    write_posed(tmp_path / "o", views, form="open3d", camera_matrix=MATRIX)
+    kinds = (open3d.core.float32,) * 3
+    grid = open3d.t.geometry.VoxelBlockGrid(("tsdf", "weight", "color"), kinds, ((1,), (1,), (3,)), 0.01, 16, 1000)
+    for number, index in ((0, 7), (2, 9)):
+        names = (str(tmp_path / "o" / part / f"{number:06d}.png") for part in ("color", "depth"))
+        color, depth = (open3d.t.io.read_image(name) for name in names)
+        to_camera = np.linalg.inv(poses[index])
+        to_camera[:3, 3] /= 1000
+        where = (Tensor(MATRIX), Tensor(to_camera), 1000.0, 5.0)
+        grid.integrate(grid.compute_unique_block_coordinates(depth, *where), depth, color, *where)
+    points = grid.extract_triangle_mesh(0).vertex.positions.numpy()
+    assert len(points) > 300  # 0.4 m2 of wall in voxels of 10 mm
+    np.testing.assert_allclose(points[:, 2], 1.5, atol=1.5e-3)  # whole mm, slanted views
+
+
+def turned(degrees, x_m):
+    """A line of a trajectory without its time: turned about y, moved along x."""
+    x, y, z, w = Rotation.from_euler("y", degrees, degrees=True).as_quat()
+    return f"{x_m} 0 0 {x} {y} {z} {w}"
+
+
+def test_a_frame_between_two_poses_lies_between_them(tmp_path):
+    path, said = tmp_path / "t.txt", []
+    poses_of = [(0.0, turned(0, 0)), (0.03, turned(30, 0.3)), (1.0, turned(170, 1)), (1.01, turned(-170, 1))]
+    path.write_text("".join(f"{time} {pose}\n" for time, pose in reversed(poses_of)))
+    frames = [(0, 0.0), (1, 0.02), (2, 0.045), (3, 0.051), (4, 0.5), (5, 0.995), (6, 1.005), (7, 1.031), (8, -0.02)]
+    found = read_trajectory(path, listener=said.append)(frames)
+    assert list(found) == [0, 1, 2, 5, 6, 8]
+    # Nearest where one side alone is within the limit, of 0.02 s; else between, the short way about.
+    angles = {0: 0, 1: 20, 2: 30, 5: 170, 6: 180, 8: 0}
+    places = {0: 0, 1: 200, 2: 300, 5: 1000, 6: 1000, 8: 0}
+    for index, pose in found.items():
+        turn = Rotation.from_euler("y", angles[index], degrees=True).as_matrix()
+        np.testing.assert_allclose(pose[:3, :3], turn, atol=1e-9)
+        np.testing.assert_allclose(pose[:3, 3], (places[index], 0, 0), atol=1e-6)
+    (line,) = said
+    assert line == "3 of 9 frames have no pose within 0.02 s in t.txt: left out"
+    with pytest.raises(InputError, match=r"poses from 0\.000 to 1\.010 s, frames from 9\.000 to 9\.000 s"):
+        read_trajectory(path)([(0, 9.0)])
+    assert len(read_trajectory(path, limit_s=0)(frames)) == 1
+    assert len(read_trajectory(path, limit_s=np.inf)(frames)) == 9
+    for limit_s in (-0.1, np.nan):
+        with pytest.raises(InputError, match="--trajectory-limit-s"):
+            read_trajectory(path, limit_s=limit_s)
+    path.write_text("# nothing\n")
+    with pytest.raises(InputError, match="holds no pose"):
+        read_trajectory(path)
+
+
 def test_trajectories_are_read_and_bad_lines_named(tmp_path):
     path = tmp_path / "t.txt"
     path.write_text("# time\n1.5 0.1 0.2 0.3 0 0 0.7071068 0.7071068\n# submap 1: a new origin\n2.5 0 0 0 0 0 0 1\n")
     found = read_trajectory(path)([(3, 1.5), (4, 2.5)])
     assert list(found) == [3]
     np.testing.assert_allclose(found[3], [[0, -1, 0, 100], [1, 0, 0, 200], [0, 0, 1, 300], [0, 0, 0, 1]], atol=1e-6)
-    for bad in ("1 2 3", "1 0 0 0 0 0 0 0", "1 0 0 nan 0 0 0 1", "a 0 0 0 0 0 0 1"):
+    extreme = ("1 1e300 0 0 0 0 0 1", "1 0 0 0 0 0 0 1e-200")
+    for bad in ("1 2 3", "1 0 0 0 0 0 0 0", "1 0 0 nan 0 0 0 1", *extreme, "a 0 0 0 0 0 0 1"):
         path.write_text(f"{bad}\n")
         with pytest.raises(InputError, match="line 1"):
             read_trajectory(path)
@@ -438,3 +504,6 @@ def test_export_with_a_trajectory(tmp_path, run):
         done = run("export", image, target, *options, "-q", *words)
         assert (done.returncode, len(done.stderr.strip().splitlines())) == (2, 1), done.stderr
     assert not (tmp_path / "new").exists()
+    wide = ("--format", "colmap", "--trajectory", tmp_path / "t.txt", "--trajectory-limit-s", 5)
+    assert run("export", image, tmp_path / "far", *options, "-q", *wide).returncode == 0
+    assert "VoxelBlockGrid" in run("export", image, tmp_path / "o3d", *options, "--format", "open3d").stdout

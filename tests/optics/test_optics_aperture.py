@@ -2,13 +2,17 @@
 
 import math
 import os
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+import chromaperture as cap
 from chromaperture.cli.apertures import design_table
+from chromaperture.depth.conversion import depth_to_disparity
 from chromaperture.optics.aperture import (
     DESIGNS,
     aperture_figures,
@@ -18,8 +22,11 @@ from chromaperture.optics.aperture import (
     open_band,
     open_disc,
 )
-from chromaperture.optics.pinhole import PupilCamera
+from chromaperture.optics.pinhole import PupilCamera, thin_lens_camera
 from chromaperture.optics.printing.aperture_file import aperture_from_dict, load_aperture
+from chromaperture.optics.simulator.layer_renderer import render_layers
+from chromaperture.optics.simulator.sensor import SensorModel, develop, expose
+from chromaperture.optics.simulator.textures import noise
 from chromaperture.system.errors import InputError
 
 # Areas and centroids below are closed forms of discs, squares and circle segments, in pupil radii. The grid
@@ -277,3 +284,96 @@ def test_the_printed_baseline_is_that_of_equation_6():
     camera = PupilCamera(720, 480, 1600.0, 12.0, 2000.0, 50.0, 0.031)
     (row,) = design_table([DESIGNS["rgb_circles"]], camera, [2500.0])
     assert row["baseline_mm"] == pytest.approx(2 * 0.6 * 12.0, abs=24 * TOLERANCE)
+
+
+# ---- what a lens of focal length, f-number and pixel is worth
+
+
+def foretold(focal_length_mm, f_number, pixel_um, focus_mm, distances_mm, film="real"):
+    """The row that `chromaperture apertures` prints for halves in a thin lens."""
+    pixels = {"width_px": 720, "height_px": 480, "pixel_pitch_mm": pixel_um / 1000}
+    camera = thin_lens_camera(focal_length_mm, f_number, focus_mm, **pixels)
+    (row,) = design_table([made_of(DESIGNS["cy_halves"], film)], camera, distances_mm)
+    return row
+
+
+def test_a_thin_lens_is_in_focus_where_it_says():
+    camera = thin_lens_camera(50.0, 2.0, 2000.0, width_px=720, height_px=480, pixel_pitch_mm=0.03)
+    image = camera.image_distance_mm
+    assert 1 / image + 1 / (2000 - image) == pytest.approx(1 / 50, rel=1e-12)  # Eq. (2)
+    assert (camera.sensor_to_pupil_mm, 2 * camera.pupil_radius_mm) == (image, 25.0)
+
+
+def test_disparities_foretold_are_those_that_boards_of_this_lens_have():
+    # A camera that was calibrated on boards, ray traced through the prescription of a 50 mm lens at f/2.
+    known = cap.load_camera(cap.sample_camera("still_life_cy_halves")).calibration
+    distances = [900.0, 1200.0, 1500.0, 2500.0, 5200.0]
+    row = foretold(50.0, 2.0, 1000 * known.sensor.pixel_pitch_mm, known.in_focus_mm, distances)
+    curve = depth_to_disparity(np.array(distances), known.on_axis("paper"))
+    # 2 % of 9.4 px between the ends: f-number and focal length are rounded to a percent, vignetting takes another.
+    assert np.ptp(curve) > 6
+    np.testing.assert_allclose(row["disparity_px"], curve, atol=0.02 * np.ptp(curve))
+    assert row["baseline_mm"] == pytest.approx(known.baseline_mm, rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("distance_mm", [1500.0, 2500.0])
+def test_depth_errors_foretold_are_the_error_bars_of_a_calibrated_camera(distance_mm):
+    eye = cap.load_camera(cap.sample_camera("still_life_cy_halves"), device="cpu")
+    known = eye.calibration
+    focal_px, pitch_mm = float(known.lens.camera_matrix[0, 0]), known.sensor.pixel_pitch_mm
+    delta = float(known.on_axis("paper").sensor_to_pupil_mm)
+    lens = PupilCamera(720, 480, focal_px, 12.5, known.in_focus_mm, delta, pitch_mm)
+    color = np.repeat(noise((480, 720), exponent=1.0, seed=5)[..., None], 3, axis=2)
+    depth_mm = np.full((480, 720), distance_mm)
+    film, layer_px = made_of(DESIGNS["cy_halves"], "real"), abs(float(lens.blur_radius_px(distance_mm)))
+    picture = render_layers(color, depth_mm, camera=lens, aperture=film, pitch_px=layer_px)
+    image = develop(expose(picture.image, SensorModel(), seed=5), SensorModel()).astype(np.float32)
+    sigma_mm = np.median(eye.measure(image).sigma_mm[160:320, 240:480])  # few pixels of a border's windows
+    row = foretold(50.0, 2.0, 1000 * pitch_mm, known.in_focus_mm, [900.0, distance_mm, 5200.0])
+    # One constant stands for bars that depend on blur and texture: 0.060 to 0.071 px of half disparity were seen from
+    # 1.2 to 3.5 m, and other textures have other bars.
+    assert 0.6 < sigma_mm / row["depth_error_mm"][1] < 1.4
+    assert row["depth_sigma_mm"][1] < sigma_mm
+    assert row["depth_error_percent"][1] == pytest.approx(100 * row["depth_error_mm"][1] / distance_mm, abs=1e-3)
+
+
+def test_range_and_working_pixels():
+    row = foretold(50.0, 2.0, 31.0, 2000.0, [1500.0])
+    ends = foretold(50.0, 2.0, 31.0, 2000.0, [row["near_mm"]])
+    # The search is from -8 to 7.5 px in steps of 0.5; the ends are unknown. Infinity, 4.7 px, lies within.
+    assert (ends["disparity_px"], row["far_mm"]) == ([pytest.approx(-7.5, abs=0.01)], None)
+    row = foretold(50.0, 2.0, 10.0, 2000.0, [1500.0])
+    ends = foretold(50.0, 2.0, 10.0, 2000.0, [row["near_mm"], row["far_mm"]])
+    assert ends["disparity_px"] == pytest.approx([-7.5, 7.0], abs=0.01)
+    # Finer pixels than blur needs gain nothing. At 900 mm the rim is displaced by F R (1/z_f - 1/z), 12.5 mm times
+    # F = 51.3 mm times 1/1949 - 1/849, 0.427 mm or 42.7 px of 10 um.
+    coarse, fine = (foretold(50.0, 2.0, pixel_um, 2000.0, [900.0, 2500.0]) for pixel_um in (10.0, 5.0))
+    assert fine["working_scale"] == pytest.approx(2 * coarse["working_scale"], abs=2e-3)
+    assert coarse["working_scale"] == pytest.approx(42.7 / 13.5, rel=0.002)
+    assert fine["depth_error_mm"] == pytest.approx(coarse["depth_error_mm"], rel=1e-3)
+
+
+def test_the_table_of_the_page_is_what_the_command_prints():
+    page = (Path(__file__).parents[2] / "docs" / "machine-vision.md").read_text(encoding="utf-8")
+    lines = re.findall(r"^\| (\d+) mm f/([\d.]+) \|(.*)\|$", page, flags=re.MULTILINE)
+    assert len(lines) == 5
+    for focal_mm, number, rest in lines:
+        cells = [[float(value) for value in cell.split(",")] for cell in rest.split("|")]
+        (focus_mm,), (baseline_mm,), distances_mm, errors_mm, percent = cells
+        row = foretold(float(focal_mm), float(number), 6.9, focus_mm, distances_mm)
+        assert row["baseline_mm"] == pytest.approx(baseline_mm, abs=0.05)
+        assert row["depth_error_mm"] == pytest.approx(errors_mm, rel=0.03)  # two digits
+        assert row["depth_error_percent"] == pytest.approx(percent, abs=0.051)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [("--f-number 2", "together"), ("--focal-length-mm 9 --f-number 2 --pixel-um 3 --lens phone_4", "no --lens"),
+     ("--focal-length-mm 9 --f-number 0 --pixel-um 3", "positive"), ("--sigma-px nan", "--sigma-px"),
+     ("--focal-length-mm 50 --f-number 2 --pixel-um 3 --focus-mm 150", "nearest is 200 mm")],
+)  # fmt: skip
+def test_lenses_that_cannot_be_are_refused(run, options, words):
+    result = run("apertures", "cy_halves", *options.split())
+    assert (result.returncode, result.stdout, len(result.stderr.splitlines())) == (2, "", 1)
+    assert words in result.stderr

@@ -10,21 +10,40 @@ import typer
 
 from chromaperture.cli.console import out as console
 from chromaperture.cli.console import print_json, table
-from chromaperture.cli.options import Film, FocusMm, Json, Lens, Quiet, SensorWidthMm, Width, check_output
+from chromaperture.cli.options import CAMERA_PANEL, Film, FocusMm, Json, Lens, Quiet, SensorWidthMm, Width, check_output
 from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
     from chromaperture.optics.aperture import Aperture
     from chromaperture.optics.pinhole import PupilCamera
 
+_LENS = "double_gauss_50"
+# Error bar of real-time on textured planes at 1.2 to 3.5 m, 50 mm at f/2, 720x480 px: 0.060 to 0.071 px.
+SIGMA_PX = 0.07
+
 
 def apertures(
     design: Annotated[
         list[str] | None, typer.Argument(help="Designs or files to compare; all when absent.", metavar="DESIGN")
     ] = None,
-    lens: Lens = "double_gauss_50",
+    lens: Lens = _LENS,
+    focal_length_mm: Annotated[
+        float | None, typer.Option(help="Of a thin lens in place of --lens.", rich_help_panel=CAMERA_PANEL)
+    ] = None,
+    f_number: Annotated[float | None, typer.Option(help="Of that thin lens.", rich_help_panel=CAMERA_PANEL)] = None,
+    pixel_um: Annotated[
+        float | None,
+        typer.Option(
+            help="Pixel of the pictures: two photosites where a Bayer cell is one pixel.", rich_help_panel=CAMERA_PANEL
+        ),
+    ] = None,
     focus_mm: FocusMm = 2000.0,
-    at_mm: Annotated[list[float] | None, typer.Option(help="Distance to judge at; repeatable.")] = None,
+    at_mm: Annotated[
+        list[float] | None, typer.Option(help="Distance to judge at, mm; repeatable, the working range.")
+    ] = None,
+    sigma_px: Annotated[
+        float, typer.Option(help="Error of the half disparity, px of the picture that is matched.")
+    ] = SIGMA_PX,
     film: Film = "real",
     width: Width = 720,
     sensor_width_mm: SensorWidthMm = 22.3,
@@ -36,13 +55,14 @@ def apertures(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compare aperture designs: light, baseline, disparity, blur, and the best depth error they allow.
+    """Compare aperture designs: light, baseline, range, disparity, blur, depth error, and the least that noise allows.
 
-    Example: chromaperture apertures cy_halves --template cy.pdf --pupil-mm 17.1
+    chromaperture apertures cy_halves --template cy.pdf --pupil-mm 17.1
+
+    chromaperture apertures cy_halves --focal-length-mm 25 --f-number 1.4 --pixel-um 6.9 --focus-mm 800
     """
     from chromaperture.optics.aperture import DESIGNS, made_of
-    from chromaperture.optics.pinhole import focused_at, pupil_camera
-    from chromaperture.optics.prescription import load_lens
+    from chromaperture.optics.pinhole import thin_lens_camera
     from chromaperture.optics.printing.aperture_file import load_aperture
     from chromaperture.optics.printing.template import write_template
     from chromaperture.system.storage import staged
@@ -53,13 +73,19 @@ def apertures(
     if figure:
         check_output(figure, ".png", ".svg", option="--figure")
     chosen = [made_of(load_aperture(n), film) if n in DESIGNS else load_aperture(n) for n in names]
-    optics = focused_at(load_lens(lens), focus_mm)
-    pitch = sensor_width_mm / width
-    camera = pupil_camera(optics, width_px=width, height_px=round(width * 2 / 3), pixel_pitch_mm=pitch)
-    rows = design_table(chosen, camera, at_mm or [1000.0, 1500.0, 2000.0, 3000.0, 4000.0])
+    if not 0 < sigma_px < math.inf:
+        raise InputError(f"--sigma-px must be positive, got {sigma_px:g}")
+    size = {"width_px": width, "height_px": round(width * 2 / 3)}
+    if (focal_length_mm, f_number, pixel_um) == (None, None, None):
+        camera, iris_mm = _camera_of(lens, focus_mm, pixel_pitch_mm=sensor_width_mm / width, **size)
+    elif focal_length_mm is None or f_number is None or pixel_um is None or lens != _LENS:
+        raise InputError("give --focal-length-mm, --f-number and --pixel-um together, and no --lens")
+    else:
+        camera = thin_lens_camera(focal_length_mm, f_number, focus_mm, pixel_pitch_mm=pixel_um / 1000, **size)
+        iris_mm, lens = 2 * camera.pupil_radius_mm, f"of {focal_length_mm:g} mm at f/{f_number:g}"
+    rows = design_table(chosen, camera, at_mm or [1000.0, 1500.0, 2000.0, 3000.0, 4000.0], sigma_px=sigma_px)
     if template:
-        stop = next(s for s in optics.surfaces if s.role == "stop")
-        diameter_mm = pupil_mm or 2 * stop.semi_diameter_mm
+        diameter_mm = pupil_mm or iris_mm
         with staged(template.parent) as stage:
             page = stage.path(template.name)
             write_template(page, chosen[0], pupil_diameter_mm=diameter_mm)
@@ -69,7 +95,7 @@ def apertures(
     if json:
         print_json(rows)
     elif not quiet:
-        _print_table(rows, camera)
+        _print_table(rows, camera, sigma_px)
     if not quiet and not json:
         if template:
             whose = "" if pupil_mm else f" of the lens {lens}; --pupil-mm is for yours"
@@ -78,10 +104,23 @@ def apertures(
             typer.echo(f"Wrote {figure}")
 
 
-def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list[float]) -> list[dict[str, Any]]:
+def _camera_of(lens: str, focus_mm: float, **sensor: Any) -> tuple[PupilCamera, float]:
+    """Return the camera of a lens's prescription, and the diameter of its iris."""
+    from chromaperture.optics.pinhole import focused_at, pupil_camera
+    from chromaperture.optics.prescription import load_lens
+
+    optics = focused_at(load_lens(lens), focus_mm)
+    stop = next(surface for surface in optics.surfaces if surface.role == "stop")
+    return pupil_camera(optics, **sensor), 2 * stop.semi_diameter_mm
+
+
+def design_table(
+    chosen: list[Aperture], camera: PupilCamera, distances_mm: list[float], *, sigma_px: float = SIGMA_PX
+) -> list[dict[str, Any]]:
     """Return the figures of designs in one lens, at equal exposure; lists run over distances, None without views."""
     import numpy as np
 
+    from chromaperture.model.scale import MOST_RADIUS_PX
     from chromaperture.optics.aperture import aperture_figures, film_unmixing
     from chromaperture.optics.depth_error_bound import expected_accuracy
 
@@ -90,6 +129,10 @@ def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list
         light = aperture_figures(aperture)
         views = aperture_figures(aperture, film_unmixing(aperture))
         curve = expected_accuracy(aperture, camera, np.array(distances_mm))
+        scale = max(1.0, float(np.abs(curve.blur_px).max()) / MOST_RADIUS_PX)  # as `accurate_scale`
+        error_px = np.maximum(scale * sigma_px, curve.sigma_px)
+        error_mm = error_px / curve.disparity_per_mm if aperture.views else np.empty(0)
+        near_mm, far_mm = _searched_mm(camera, views.beta) if aperture.views else (None, None)
         rows.append({
             "name": aperture.name,
             "title": aperture.title,
@@ -97,18 +140,35 @@ def design_table(chosen: list[Aperture], camera: PupilCamera, distances_mm: list
             "efficiency_mean": round(light.efficiency_mean, 6),
             "efficiency_luminance": round(light.efficiency_luminance, 6),
             "baseline_mm": round(2 * views.beta * camera.pupil_radius_mm, 3) if aperture.views else None,
+            "near_mm": near_mm,
+            "far_mm": far_mm,
+            "working_scale": round(scale, 3),
             "distances_mm": [float(z) for z in distances_mm],
             "disparity_px": curve.disparity_px.round(3).tolist() if aperture.views else None,
             "disparity_px_per_mm": curve.disparity_per_mm.round(6).tolist() if aperture.views else None,
             "blur_radius_px": curve.blur_px.round(3).tolist(),
+            "depth_error_mm": error_mm.round(3).tolist() if aperture.views else None,
+            "depth_error_percent": (100 * error_mm / distances_mm).round(3).tolist() if aperture.views else None,
             "depth_sigma_mm": [round(float(s), 3) if math.isfinite(s) else None for s in curve.sigma_mm]
             if aperture.views else None,
         })  # fmt: skip
     return rows
 
 
-def _print_table(rows: list[dict[str, Any]], camera: PupilCamera) -> None:
+def _searched_mm(camera: PupilCamera, beta: float) -> tuple[float | None, float | None]:
+    """Return the distances between which half disparities are in the default search range; None for infinity."""
+    from chromaperture.settings.stages import LayersConfig
 
+    layers = LayersConfig()
+    scale = beta * camera.focal_px * camera.pupil_radius_mm
+    infinity_px = scale / (camera.focus_mm - camera.sensor_to_pupil_mm)
+    ends = layers.min_px + layers.step_px, layers.max_px - layers.step_px  # the best layer at an end is unknown
+    left = [infinity_px - end for end in ends]
+    near, far = (round(scale / px + camera.sensor_to_pupil_mm, 1) if px > 0 else None for px in left)
+    return near, far
+
+
+def _print_table(rows: list[dict[str, Any]], camera: PupilCamera, sigma_px: float) -> None:
     lens = (
         f"image distance {camera.image_distance_mm:.1f} mm, pupil {2 * camera.pupil_radius_mm:.1f} mm, "
         f"focus {camera.focus_mm:.0f} mm"
@@ -120,8 +180,16 @@ def _print_table(rows: list[dict[str, Any]], camera: PupilCamera) -> None:
         baseline = f"{row['baseline_mm']:.2f}" if row["baseline_mm"] else "-"
         light.add_row(row["name"], *(f"{100 * x:.1f}" for x in passed), baseline)
     console.print(light)
+    ranges = table("Range searched at full size, mm", "design", "from", "to")
+    for row in rows:
+        if row["near_mm"]:
+            ranges.add_row(row["name"], f"{row['near_mm']:.0f}", f"{row['far_mm'] or math.inf:.0f}")
+    if ranges.row_count:
+        console.print(ranges)
     columns = [f"{z:.0f}" for z in rows[0]["distances_mm"]]
     for title, key, style in (
+        ("Depth error, mm, at a distance in mm", "depth_error_mm", ".1f"),
+        ("Depth error, %, at a distance in mm", "depth_error_percent", ".2f"),
         ("Least depth error, mm, at a distance in mm", "depth_sigma_mm", ".1f"),
         ("Disparity, px, at a distance in mm", "disparity_px", "+.2f"),
         ("Disparity, px per mm, at a distance in mm", "disparity_px_per_mm", ".5f"),
@@ -133,6 +201,10 @@ def _print_table(rows: list[dict[str, Any]], camera: PupilCamera) -> None:
         if figures.row_count:
             console.print(figures)
     blur = ", ".join(f"{r:+.1f} px at {z} mm" for r, z in zip(rows[0]["blur_radius_px"], columns, strict=True))
+    scale = rows[0]["working_scale"]
+    console.print(
+        f"Depth error: {sigma_px:g} px of half disparity in pixels {scale:.1f} times as wide (blur), or the least"
+    )
     console.print(f"Blur radius of the whole pupil (- nearer than the focus): {blur}")
 
 

@@ -52,6 +52,9 @@ def export(
         Path | None,
         typer.Option(help="Poses for colmap and nerfstudio, TUM format; default: tracked, as 'reconstruct' does."),
     ] = None,
+    trajectory_limit_s: Annotated[
+        float, typer.Option(help="Most seconds between a frame and the poses of --trajectory around it.")
+    ] = 0.02,  # `POSE_LIMIT_S`
     quality: Quality = "real-time",
     device: Device = "auto",
     anyway: Anyway = False,
@@ -76,13 +79,13 @@ def export(
         raise InputError(f"{chosen} holds no poses; give --trajectory with {' or '.join(_POSED)}")
     eye = camera_for(out, camera, None, quality=quality, config=None, device=device)
     undistorter(eye)  # refuses a camera that was never calibrated before anything is compiled
-    _writer(chosen, eye.calibration.lens.camera_matrix, trajectory)
+    _writer(chosen, eye.calibration.lens.camera_matrix, trajectory, trajectory_limit_s)
     compile_kernels(quality, quiet=quiet)
     stream = open_stream(source, calibration=eye.calibration, black_level=black_level, white_level=white_level)
     with stream, progress(quiet=quiet) as update:
         eye, frames = of_stream(eye, stream)
         matrix = eye.calibration.lens.camera_matrix
-        write, see = _writer(chosen, matrix, trajectory)
+        write, see = _writer(chosen, matrix, trajectory, trajectory_limit_s)
         to_view = undistorter(eye)
 
         def views() -> Iterator[View]:
@@ -106,10 +109,14 @@ def export(
         count = write(out, views(), camera_matrix=matrix, max_relative_sigma=max_relative_sigma)
     if not quiet:
         typer.echo(f"Wrote {count} frames to {out} at quality {quality}. {other_quality(eye, per='frame')}".rstrip())
+        if chosen == "open3d":
+            typer.echo(
+                "Fuse them with Open3D's VoxelBlockGrid (ScalableTSDFVolume of 0.20 fuses nothing); depth_max is 3 m"
+            )
 
 
 def _writer(
-    chosen: str, matrix: np.ndarray, trajectory: Path | None
+    chosen: str, matrix: np.ndarray, trajectory: Path | None, limit_s: float
 ) -> tuple[Callable[..., int], Callable[[View], None]]:
     """Return the function that writes a format, and what sees every view before; missing extras are said here."""
     if chosen == "tum":
@@ -126,7 +133,8 @@ def _writer(
     if chosen == "open3d":
         return partial(write_posed, form=form), lambda view: None
     if trajectory is not None:
-        return partial(write_posed, form=form, poses=read_trajectory(trajectory)), lambda view: None
+        poses = read_trajectory(trajectory, limit_s=limit_s, listener=say_warning)
+        return partial(write_posed, form=form, poses=poses), lambda view: None
     from chromaperture.reconstruction.build_model import Tracker
 
     tracker = Tracker(matrix, listener=say_warning)

@@ -9,6 +9,10 @@ import numpy as np
 
 from chromaperture.system.errors import InputError, needed
 
+# Blender's compositor offers the layers of a render alone: VIEW.PASS.CHANNEL, of one channel V or, of depth, Z.
+_LAYERS = {"R": "V.Combined.R", "G": "V.Combined.G", "B": "V.Combined.B", "Z": "V.Depth.Z"}
+_LAYERS |= {name: f"V.{name}.V" for name in ("sigma_mm", "confidence")}
+
 
 def openexr() -> Any:
     """Import OpenEXR; raises MissingDependencyError naming the extra."""
@@ -24,8 +28,12 @@ def write_exr(
     confidence: np.ndarray,
     camera_matrix: np.ndarray,
     sensor_to_pupil_mm: float,
+    layers: bool = False,
 ) -> None:
-    """Write linear colour, Z from the pupil, its error bar (mm) and confidence as 32-bit floats, NaN unknown."""
+    """Write linear colour, Z from the pupil, its error bar (mm) and confidence as 32-bit floats, NaN unknown.
+
+    ``layers``: by the names of a render's layers, in place of R, G, B, Z, sigma_mm and confidence.
+    """
     exr = openexr()
     z_mm = np.asarray(depth_mm, np.float32) - np.float32(sensor_to_pupil_mm)
     channels = {name: np.ascontiguousarray(color[..., i], np.float32) for i, name in enumerate("RGB")}
@@ -43,6 +51,8 @@ def write_exr(
         "principal_point_x_px": float(camera_matrix[0, 2]),
         "principal_point_y_px": float(camera_matrix[1, 2]),
     }
+    if layers:
+        channels = {_LAYERS[name]: values for name, values in channels.items()}
     exr.File(header, channels).write(str(path))
 
 
@@ -52,8 +62,10 @@ def read_exr(path: str | Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     try:
         with exr.File(str(path), separate_channels=True) as file:
             to_pupil_mm = float(file.header()["sensor_to_pupil_mm"])
+            stored = file.channels()
             z, sigma, confidence = (
-                np.array(file.channels()[name].pixels, np.float32) for name in ("Z", "sigma_mm", "confidence")
+                np.array(stored[name if name in stored else _LAYERS[name]].pixels, np.float32)
+                for name in ("Z", "sigma_mm", "confidence")
             )
     except Exception:  # OpenEXR raises anything on a damaged file
         raise InputError(f"{path.name} is damaged or was not written by chromaperture; write it again") from None

@@ -166,7 +166,7 @@ class DepthFrame:
             ``results/photo`` writes ``results/photo.depth.tiff`` and so on; a folder that exists gets ``frame.*``.
         write : str or iterable of str, optional
             Which, such as ``"depth,sigma"``; see `OUTPUTS`. When absent, all that the camera can give, but the formats
-            of other programs (``gdepth``, ``dynamic-depth``, ``exr``, ``glb``, ``usdz``).
+            of other programs (``gdepth``, ``dynamic-depth``, ``exr``, ``exr-layers``, ``glb``, ``usdz``).
         max_relative_sigma : float
             Largest sigma / depth in what carries no error bar, such as ``depth-png`` and ``ply``.
 

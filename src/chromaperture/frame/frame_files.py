@@ -41,9 +41,12 @@ OUTPUTS = {
     "gdepth": Output(".gdepth.jpg", needs_depth=True, by_default=False),
     "dynamic-depth": Output(".dynamic-depth.jpg", needs_depth=True, by_default=False),
     "exr": Output(".exr", needs_depth=True, by_default=False),
+    "exr-layers": Output(".layers.exr", needs_depth=True, by_default=False),
     "glb": Output(".glb", needs_depth=True, by_default=False),
     "usdz": Output(".usdz", needs_depth=True, by_default=False),
 }
+
+EXR = ("exr", "exr-layers")
 
 
 def chosen_outputs(write: str | Iterable[str] | None, *, is_calibrated: bool = True) -> tuple[str, ...]:
@@ -60,7 +63,7 @@ def chosen_outputs(write: str | Iterable[str] | None, *, is_calibrated: bool = T
         raise InputError(
             f"{', '.join(impossible)} cannot be written without a calibrated camera; choose from {', '.join(possible)}"
         )
-    if "exr" in names:
+    if set(EXR) & set(names):
         from chromaperture.files.depth_exr import openexr
 
         openexr()  # before the work: the extra may be missing
@@ -144,17 +147,17 @@ def save(
 
 
 def write_format(name: str, path: Path, frame: DepthFrame, *, max_relative_sigma: float) -> None:
-    """Write one of the formats of other programs; all but ``exr`` only within ``max_relative_sigma``."""
+    """Write one of the formats of other programs; all but OpenEXR only within ``max_relative_sigma``."""
     if frame.calibration is None or frame.config is None or not frame.calibration.is_calibrated:
         raise InputError(f"{name} needs a frame of a calibrated camera; make one with 'chromaperture calibrate'")
     lens = frame.calibration.lens
     matrix, to_pupil_mm = lens.camera_matrix, frame.calibration.depth[frame.config.quality].sensor_to_pupil_mm
-    if name == "exr":
+    if name in EXR:
         from chromaperture.files.depth_exr import write_exr
 
         write_exr(
             path, color=frame.color, depth_mm=frame.depth_mm, sigma_mm=frame.sigma_mm, confidence=frame.confidence,
-            camera_matrix=matrix, sensor_to_pupil_mm=to_pupil_mm,
+            camera_matrix=matrix, sensor_to_pupil_mm=to_pupil_mm, layers=name == "exr-layers",
         )  # fmt: skip
         return
     z_mm = within_error(frame.depth_mm, frame.sigma_mm, max_relative_sigma) - np.float32(to_pupil_mm)

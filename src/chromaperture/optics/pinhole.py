@@ -112,22 +112,30 @@ def _conjugate(gap: float, whole: np.ndarray, name: str) -> float:
 
 
 def focused_at(lens: Prescription, distance_mm: float) -> Prescription:
-    """Move the sensor so that a distance from it, or inf, is in focus paraxially."""
+    """Move the sensor so that a distance from it, or inf, is in focus paraxially; raises as `image_distance`."""
     data = paraxial(replace(lens, sensor_gap_mm=1e6))
     f = data.focal_length_mm
+    image = image_distance(f, distance_mm, between_mm=data.rear_principal_mm - data.front_principal_mm)
+    return replace(lens, sensor_gap_mm=float(data.rear_principal_mm + image - lens.vertices_mm[-1]))
+
+
+def image_distance(focal_length_mm: float, distance_mm: float, *, between_mm: float = 0.0) -> float:
+    """Return the distance of the rear principal plane from the sensor, for a focus so far from the sensor.
+
+    ``between_mm``: the rear principal plane from the front one. Raises InputError: nothing there can be in focus.
+    """
     if not distance_mm > 0:
         raise InputError(f"focus distance must be positive and in mm, got {distance_mm:g}")
     if np.isinf(distance_mm):
-        return replace(lens, sensor_gap_mm=data.back_focus_mm)
-    between = data.rear_principal_mm - data.front_principal_mm
-    total = distance_mm - between  # object to H plus H' to sensor
-    if total < 4 * f:
+        return focal_length_mm
+    total = distance_mm - between_mm  # object to H plus H' to sensor
+    if total < 4 * focal_length_mm:
         raise InputError(
             f"cannot focus at {distance_mm:g} mm: an object this near lies too close to the focal length; "
-            f"the nearest is {4 * f + between:.0f} mm"
+            f"the nearest is {4 * focal_length_mm + between_mm:.0f} mm"
         )
-    image = (total - np.sqrt(total * (total - 4 * f))) / 2  # s + s' = total, 1/s + 1/s' = 1/f
-    return replace(lens, sensor_gap_mm=float(data.rear_principal_mm + image - lens.vertices_mm[-1]))
+    # s + s' = total, 1/s + 1/s' = 1/f
+    return float((total - np.sqrt(total * (total - 4 * focal_length_mm))) / 2)
 
 
 @dataclass(frozen=True)
@@ -194,6 +202,24 @@ def pupil_camera(lens: Prescription, *, width_px: int, height_px: int, pixel_pit
         pupil_radius_mm=data.entrance_diameter_mm / 2,
         focus_mm=data.focus_from_pupil_mm + data.sensor_to_entrance_pupil_mm,  # inf stays inf
         sensor_to_pupil_mm=data.sensor_to_entrance_pupil_mm,
+        pixel_pitch_mm=pixel_pitch_mm,
+    )
+
+
+def thin_lens_camera(
+    focal_length_mm: float, f_number: float, focus_mm: float, *, width_px: int, height_px: int, pixel_pitch_mm: float
+) -> PupilCamera:
+    """Return the camera of a thin lens in focus at a distance from the sensor; raises InputError."""
+    if not (0 < focal_length_mm < np.inf and 0 < f_number < np.inf and 0 < pixel_pitch_mm < np.inf):
+        raise InputError("focal length, f-number and pixel pitch must be positive")
+    distance = image_distance(focal_length_mm, focus_mm)
+    return PupilCamera(
+        width_px=width_px,
+        height_px=height_px,
+        focal_px=distance / pixel_pitch_mm,
+        pupil_radius_mm=focal_length_mm / f_number / 2,
+        focus_mm=focus_mm,
+        sensor_to_pupil_mm=distance,
         pixel_pitch_mm=pixel_pitch_mm,
     )
 

@@ -15,10 +15,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
-from chromaperture.products.rectified import DepthEncoding, View, nanoseconds
+from chromaperture.products.rectified import CAMERA_FRAME, DepthEncoding, View, stamp_ns
 from chromaperture.system.errors import InputError, MissingDependencyError
 
-CAMERA_FRAME, WORLD_FRAME = "camera_optical_frame", "world"
+WORLD_FRAME = "world"
 DEFAULT_PORT = 8765  # of Foxglove, which its "open connection" proposes
 _MOST_POINTS = 100_000  # of a cloud: 1.6 MB a message; chosen by hand
 # Messages kept for a slow client before the oldest are dropped: of six a frame, some three frames; chosen by hand.
@@ -143,7 +143,7 @@ class FoxgloveStream:
 
     def send_pose(self, pose: np.ndarray, time_s: float) -> None:
         """Send the pose of the camera in the world, (4, 4), mm."""
-        messages, time_ns = self._sdk.messages, nanoseconds(time_s)
+        messages, time_ns = self._sdk.messages, stamp_ns(time_s)
         x, y, z = (pose[:3, 3] / 1000).tolist()
         qx, qy, qz, qw = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
         transform = messages.FrameTransform(

@@ -15,7 +15,7 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA, within_error
 from chromaperture.depth.pointcloud import ply_header, ply_vertices
@@ -107,7 +107,8 @@ Poses = Mapping[int, np.ndarray]
 _POINTS_A_FRAME = 2000  # in the cloud that begins a reconstruction or splats; chosen by hand
 _HALF_PIXEL = 0.5  # COLMAP and Nerfstudio: the centre of the first pixel is at 0.5; here at 0
 _MOST_TRAJECTORY_BYTES = 50_000_000  # half a million frames
-_TIME_DIGITS = 6  # of a trajectory file
+POSE_LIMIT_S = 0.02  # between a frame and a pose; that of the tools of TUM's benchmark
+_ROUNDED_S = 1e-6  # times in a trajectory file have six digits
 
 
 @dataclass(frozen=True)
@@ -265,10 +266,18 @@ def _write_open3d(folder: Path, size: tuple[int, int], matrix: np.ndarray) -> No
     (folder / "camera_intrinsic.json").write_text(json.dumps(tree, indent=1) + "\n", encoding="ascii")
 
 
-def read_trajectory(path: str | Path) -> Callable[[list[tuple[int, float]]], dict[int, np.ndarray]]:
-    """Read the first submap of a TUM trajectory; returns poses (4, 4), mm, of (index, time_s) for `write_posed`."""
+def read_trajectory(
+    path: str | Path, *, limit_s: float = POSE_LIMIT_S, listener: Callable[[str], None] = lambda line: None
+) -> Callable[[list[tuple[int, float]]], dict[int, np.ndarray]]:
+    """Read the first submap of a TUM trajectory; returns poses (4, 4), mm, of (index, time_s) for `write_posed`.
+
+    A frame lies between its two neighbours (slerp, straight line) where both are within ``limit_s``, and has the pose
+    of one that is alone; ``listener`` hears how many frames have none.
+    """
     path = Path(path)
-    poses: dict[float, np.ndarray] = {}
+    if not limit_s >= 0:
+        raise InputError(f"--trajectory-limit-s must be 0 or more, got {limit_s:g}")
+    rows: dict[float, list[float]] = {}
     for number, line in enumerate(
         read_bytes(path, most_bytes=_MOST_TRAJECTORY_BYTES).decode("ascii", "replace").splitlines(), 1
     ):
@@ -278,16 +287,41 @@ def read_trajectory(path: str | Path) -> Callable[[list[tuple[int, float]]], dic
             continue
         try:
             values = [float(word) for word in line.split()]
-            pose = np.eye(4)
-            pose[:3, :3] = Rotation.from_quat(values[4:]).as_matrix()
-            pose[:3, 3] = 1000 * np.array(values[1:4])
-            if len(values) != 8 or not np.isfinite(pose).all():
+            if len(values) != 8 or not np.abs(values).max() < 1e12 or np.linalg.norm(values[4:]) < 1e-6:
                 raise ValueError
         except ValueError:
             raise InputError(
                 f"{path.name}, line {number}: a pose is time tx ty tz qx qy qz qw; give a trajectory in the TUM format"
             ) from None
-        poses[round(values[0], _TIME_DIGITS)] = pose
-    return lambda frames: {
-        index: poses[time] for index, time_s in frames if (time := round(time_s, _TIME_DIGITS)) in poses
-    }
+        rows[values[0]] = values
+    if not rows:
+        raise InputError(f"{path.name} holds no pose; give a trajectory in the TUM format")
+    table = np.array([rows[time] for time in sorted(rows)])
+    times, places_mm = table[:, 0], 1000 * table[:, 1:4]
+    turns = Rotation.from_quat(table[:, 4:])
+
+    def pose(time_s: float) -> np.ndarray | None:
+        after = int(np.searchsorted(times, time_s))
+        near = [i for i in (after - 1, after) if 0 <= i < len(times) and abs(times[i] - time_s) <= limit_s + _ROUNDED_S]
+        if not near:
+            return None
+        at = np.clip(time_s, times[near[0]], times[near[-1]])
+        found = np.eye(4)
+        found[:3, :3] = (Slerp(times[near], turns[near])(at) if len(near) > 1 else turns[near[0]]).as_matrix()
+        found[:3, 3] = [np.interp(at, times[near], places_mm[near, axis]) for axis in range(3)]
+        return found
+
+    def poses(frames: list[tuple[int, float]]) -> dict[int, np.ndarray]:
+        found = {index: placed for index, time_s in frames if (placed := pose(time_s)) is not None}
+        lost = len(frames) - len(found)
+        if lost:
+            line = f"{lost} of {len(frames)} frames have no pose within {limit_s:g} s in {path.name}"
+            if not found:
+                raise InputError(
+                    f"{line}: poses from {times[0]:.3f} to {times[-1]:.3f} s, frames from {frames[0][1]:.3f} to "
+                    f"{frames[-1][1]:.3f} s; give the trajectory of this sequence"
+                )
+            listener(f"{line}: left out")
+        return found
+
+    return poses

@@ -16,6 +16,7 @@ from chromaperture.capture.source import Frame
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.system.errors import InputError
 
+CAMERA_FRAME = "camera_optical_frame"  # x right, y down, z forward
 DepthEncoding = Literal["16UC1", "32FC1"]  # of REP 118: mm, 0 unknown, or m, NaN unknown
 
 
@@ -34,8 +35,8 @@ class View:
 
     @property
     def time_ns(self) -> int:
-        """The time in nanoseconds; ``time_s * 1e9`` would be rounded to 256 of them."""
-        return nanoseconds(self.time_s)
+        """The stamp of its messages, see `stamp_ns`."""
+        return stamp_ns(self.time_s)
 
     def ros_pictures(self, encoding: DepthEncoding, z_mm: np.ndarray) -> dict[str, tuple[str, np.ndarray]]:
         """Return encoding and pixels of colour, depth (``z_mm``), sigma and confidence (m), as REP 118 has them."""
@@ -49,10 +50,17 @@ class View:
         return pictures
 
 
-def nanoseconds(time_s: float) -> int:
-    """Return seconds as whole nanoseconds, as exactly as the seconds are known."""
-    whole, part = divmod(time_s, 1.0)
-    return int(whole) * 10**9 + round(part * 1e9)
+_FIRST_NS = 1000  # PCL keeps whole microseconds
+
+
+def stamp_ns(time_s: float) -> int:
+    """Return seconds as whole nanoseconds, as exactly as they are known, and the 0 of a first frame as 1000.
+
+    A stamp of 0 is no time in ROS: tf takes it for the latest, filters for none. Nothing else moves, so that stamps
+    of a simulated clock still fit those of other topics.
+    """
+    whole, part = divmod(time_s, 1.0)  # time_s * 1e9 is rounded to 256 ns
+    return max(int(whole) * 10**9 + round(part * 1e9), _FIRST_NS)
 
 
 def encoded_depth(z_mm: np.ndarray, encoding: DepthEncoding) -> np.ndarray:

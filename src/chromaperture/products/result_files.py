@@ -11,7 +11,7 @@ import numpy as np
 from chromaperture.capture.files import read_samples
 from chromaperture.depth.pointcloud import PointCloud
 from chromaperture.files.depth_exr import read_exr
-from chromaperture.frame.frame_files import OUTPUTS
+from chromaperture.frame.frame_files import EXR, OUTPUTS
 from chromaperture.system.errors import InputError
 from chromaperture.system.validation import MOST_PIXELS, read_bytes
 
@@ -65,7 +65,7 @@ def read_depth(path: str | Path, *, name: str | None = None) -> StoredDepth:
     """
     path = Path(path)
     stem, output = stem_and_output(path)
-    if output == "exr":
+    if output in EXR:
         values, bar, _ = read_exr(path)
         return StoredDepth(name or path.name, values, bar)
     if output not in (None, "depth", "depth-png"):
@@ -103,7 +103,7 @@ def read_result(path: str | Path) -> StoredResult:
     maps: dict[str, np.ndarray] = {name: _map(found[name]) for name in ("depth", "sigma", "disparity") if name in found}
     if "depth" not in maps and "depth-png" in found:
         maps["depth"] = _map(found["depth-png"])
-    if output == "exr" and "depth" not in maps:
+    if output in EXR and "depth" not in maps:
         maps["depth"], maps["sigma"], maps["confidence"] = read_exr(path)
     picture = _picture(found["color"]) if "color" in found else None
     cloud = read_ply(found["ply"]) if "ply" in found else None
