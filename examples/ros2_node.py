@@ -24,7 +24,7 @@ class DepthNode(Node):
 
     def run(self):
         path, text = (self.declare_parameter(name, "").value for name in ("camera", "source"))
-        camera = cap.load_camera(path)
+        camera = cap.load_camera(path, quality="real-time")
         with cap.open_source(text, camera_encoding=camera.calibration.sensor.encoding) as source:
             camera, frames = of_stream(camera, source)
             to_view = cap.undistorter(camera)

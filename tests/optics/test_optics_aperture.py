@@ -319,7 +319,7 @@ def test_disparities_foretold_are_those_that_boards_of_this_lens_have():
 @pytest.mark.slow
 @pytest.mark.parametrize("distance_mm", [1500.0, 2500.0])
 def test_depth_errors_foretold_are_the_error_bars_of_a_calibrated_camera(distance_mm):
-    eye = cap.load_camera(cap.sample_camera("still_life_cy_halves"), device="cpu")
+    eye = cap.load_camera(cap.sample_camera("still_life_cy_halves"), quality="real-time", device="cpu")
     known = eye.calibration
     focal_px, pitch_mm = float(known.lens.camera_matrix[0, 0]), known.sensor.pixel_pitch_mm
     delta = float(known.on_axis("paper").sensor_to_pupil_mm)
