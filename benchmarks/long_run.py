@@ -1,5 +1,8 @@
 """The live loop and its page for hours, with a camera that misbehaves: python benchmarks/long_run.py [--seconds 1200]
 
+With `--source SPEC` the camera is one that `open_source` opens instead; its pictures must be of 240x160 px, as those of
+`'aravis:127.0.0.1?width=480&height=320&fps=30'` beside Debian's `arv-fake-gv-camera-0.8 -i lo -r 2`.
+
 A simulated camera stalls, jumps in time, changes its size, is unplugged and gives damaged frames; browsers come, press
 everything, send nonsense and die. Exit code 1: memory, handles, threads, queues, messages or blocks of Python grow
 after the first third by more than `LIMITS` and three standard errors of a line, the loop ended, or frames stopped.
@@ -21,7 +24,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +35,8 @@ from chromaperture.app.live.page import LivePage
 from chromaperture.app.live.watchdog import Watchdog
 from chromaperture.camera.camera import CodedApertureCamera, load_camera
 from chromaperture.capture.files import read_image
-from chromaperture.capture.source import Frame
+from chromaperture.capture.open import open_source
+from chromaperture.capture.source import Event, Frame
 from chromaperture.capture.threaded_source import DeviceLostError, LiveSource
 from chromaperture.color.encoding import Encoding
 from chromaperture.depth.field import DepthField
@@ -55,15 +59,15 @@ LIMITS = {"memory_mb": 8.0, "handles": 3.0, "threads": 3.0, "queued": 1.0, "conn
 MEMORY_PART, PARTS = 0.02, 20
 
 
-def small_camera(device: str) -> CodedApertureCamera:
-    """The middle of the sample's sensor, with one depth curve."""
+def small_camera(device: str, width: int = WIDTH, height: int = HEIGHT) -> CodedApertureCamera:
+    """The middle of the sample's sensor, or more than all of it, with one depth curve."""
     whole = load_camera(sample_camera(NAME)).calibration
     sensor, lens = whole.sensor, whole.lens
     matrix = lens.camera_matrix.copy()
-    matrix[:2, 2] -= (sensor.width_px - WIDTH) / 2, (sensor.height_px - HEIGHT) / 2
+    matrix[:2, 2] -= (sensor.width_px - width) / 2, (sensor.height_px - height) / 2
     size = (sensor.width_px, sensor.height_px)
     depth = {name: DepthField.constant(field.on_axis(*size)) for name, field in whole.depth.items()}
-    small = replace(sensor, width_px=WIDTH, height_px=HEIGHT)
+    small = replace(sensor, width_px=width, height_px=height)
     return CodedApertureCamera(
         replace(whole, sensor=small, lens=replace(lens, camera_matrix=matrix), depth=depth, blur=None), device=device
     )
@@ -264,6 +268,7 @@ def run(
     seed: int = 0,
     sample_s: float = 1.0,
     device: str = "cpu",
+    spec: str = "",
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Run the loop; returns the curves and what happened."""
     said: Counter[str] = Counter()
@@ -273,13 +278,13 @@ def run(
         said[" ".join("#" if any(c.isdigit() for c in word) else word for word in line.split())] += 1
 
     loops: list[LiveLoop] = []
-    source = LiveSource(
-        "troubled",
-        world.connect,
-        listener=lambda event: loops[0].say_rarely(event.message),
-        silence_s=SILENCE_S,
-        retry_s=RETRY_S,
-    )
+
+    def report(event: Event) -> None:
+        loops[0].say_rarely(event.message)
+
+    troubled = LiveSource("troubled", world.connect, listener=report, silence_s=SILENCE_S, retry_s=RETRY_S)
+    source = open_source(spec, listener=report) if spec else troubled
+    assert isinstance(source, LiveSource), "not a live camera"
     rows: list[tuple[float, ...]] = []
     with Watchdog(WATCHDOG_S, listener=say) as watchdog:
         loop = LiveLoop(source, small_camera(device), track=model, listener=say, watchdog=watchdog)
@@ -307,9 +312,11 @@ def run(
         if page is not None:
             drawing.join(timeout=30)  # s: one frame and its drawing
             page.close()
+    counts = source.counts
     facts = {
         "seconds": round(rows[-1][0]),
-        "frames": {"given": world._number, "measured": int(rows[-1][-1]), "refused": loop.unused},
+        "counts": asdict(counts),
+        "frames": {"given": counts.sent, "measured": int(rows[-1][-1]), "refused": loop.unused},
         "hours_of_the_camera": round(world.hours, 2),
         "troubles": dict(world.troubles),
         "visitors": dict(visitors.did) if visitors else {},
@@ -344,13 +351,14 @@ def main() -> None:
     parser.add_argument("--no-page", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--device", default="cpu", help="that measures: cpu, auto, gpu or gpu:NAME")
+    parser.add_argument("--source", default="", help="for open_source, of 240x160 px; default: the simulated camera")
     parser.add_argument("--out", type=Path, help="folder for long_run.csv and long_run.png")
     args = parser.parse_args()
 
     page_shown = not args.no_page and importlib.util.find_spec("starlette") is not None
     with tempfile.TemporaryDirectory() as folder:
         shown = {"page_shown": page_shown, "model": args.model, "folder": Path(folder)}
-        rows, facts = run(args.seconds, **shown, seed=args.seed, device=args.device)
+        rows, facts = run(args.seconds, **shown, seed=args.seed, device=args.device, spec=args.source)
     if args.out:
         write_curves(args.out, rows)
     verdict = judged(rows)

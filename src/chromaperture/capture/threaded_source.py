@@ -91,7 +91,8 @@ class LiveSource:
         self._opened.clear()
         self._leave.clear()
         self._slot, self._failure, self._over, self.counts = None, None, False, FrameCounts()
-        self._missing, self._reported = FrameCounts(), -math.inf  # since the last event of missing frames, and its time
+        # Since the last event of missing frames: their number, the advice; and its time.
+        self._missing, self._advice, self._reported = FrameCounts(), "", -math.inf
         self._is_whole = True
         self._thread = threading.Thread(target=self._run, name=f"capture {self.name}", daemon=True)
         self._thread.start()
@@ -198,14 +199,15 @@ class LiveSource:
             counts.incomplete += arrival.incomplete
             counts.lost += arrival.lost
         self._missing.delivered += arrival.frame is not None
+        self._advice = arrival.advice or self._advice
         missing = self._missing
         if not (missing.incomplete or missing.lost) or time.monotonic() - self._reported < _REPORT_S:
             return
         message = (
             f"{self.name}: of {missing.sent} frames {missing.incomplete} arrived incomplete, {missing.lost} not at all"
         )
-        self._listener(Event("missing", f"{message}; {arrival.advice}" if arrival.advice else message))
-        self._missing, self._reported = FrameCounts(), time.monotonic()
+        self._listener(Event("missing", f"{message}; {self._advice}" if self._advice else message))
+        self._missing, self._advice, self._reported = FrameCounts(), "", time.monotonic()
 
 
 class Playback:
