@@ -40,7 +40,7 @@ def start(module: str, *arguments: str) -> subprocess.Popen:
 def seconds_for(workers: int, count: int, sleep_s: float | None, folder: Path) -> float:
     address = f"tcp://127.0.0.1:{PORT}"
     camera = cap.sample_camera(SAMPLE)
-    recipe = recipe_for(camera, cap.load_camera(camera), out=str(folder / "out"), again=True)
+    recipe = recipe_for(camera, cap.load_camera(camera, quality="real-time"), out=str(folder / "out"), again=True)
     images = []
     for i in range(count):
         images.append(str(folder / f"p{i}.png"))

@@ -22,7 +22,7 @@ from chromaperture.optics.simulator.sensor import SensorModel, develop, expose
 
 here = Path(__file__).parent if "__file__" in globals() else Path.cwd()  # a notebook has no file
 scene = load_scene(here.parent / "desk.toml")
-camera = cap.load_camera(cap.sample_camera("still_life_cy_halves"))
+camera = cap.load_camera(cap.sample_camera("still_life_cy_halves"), quality="real-time")
 sensor = camera.calibration.sensor
 rays = lens_rays(
     load_lens("double_gauss_50"),

@@ -8,7 +8,7 @@ takes one call.
 
 import chromaperture as cap
 
-camera, photograph = cap.open_sample("still_life_cy_halves")
+camera, photograph = cap.open_sample("still_life_cy_halves", quality="real-time")
 frame = camera.measure(photograph)
 frame.show()
 

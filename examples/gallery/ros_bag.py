@@ -18,7 +18,7 @@ import chromaperture as cap
 from chromaperture.color.color_maps import DISTANCE
 
 folder = Path(tempfile.mkdtemp())
-camera, photograph = cap.open_sample("still_life_cy_halves")
+camera, photograph = cap.open_sample("still_life_cy_halves", quality="real-time")
 sensor = camera.calibration.sensor
 
 # %%

@@ -6,6 +6,7 @@ import base64
 import contextlib
 import json
 import math
+import re
 import shutil
 import socket
 import threading
@@ -74,7 +75,7 @@ class Still(FileSource):
 def served(folder, **options):
     """A page that shows the sample; yields it and the lines said."""
     said: list[str] = []
-    with LiveLoop(Still(), load_camera(sample_camera(NAME)), track=False, listener=said.append, **options) as loop:
+    with LiveLoop(Still(), load_camera(sample_camera(NAME), quality="real-time"), track=False, listener=said.append, **options) as loop:
         page = LivePage(loop, host="127.0.0.1", port=0, out=folder)
         drawing = threading.Thread(target=page.run, daemon=True)
         drawing.start()
@@ -318,7 +319,7 @@ def test_a_snapshot_leaves_the_reserve_of_the_disk_free(tmp_path, monkeypatch):
 
 
 def test_a_frame_is_what_was_measured_and_its_flying_pixels_are_no_points(tmp_path):
-    with LiveLoop(Still(), load_camera(sample_camera(NAME)), track=False) as loop:
+    with LiveLoop(Still(), load_camera(sample_camera(NAME), quality="real-time"), track=False) as loop:
         view = LiveView(loop, out=tmp_path, max_relative_sigma=0.3)
         assert view.limits.percent.initial == 30
         with pytest.raises(InputError, match="no frame yet"):
@@ -353,7 +354,7 @@ def test_beside_tracking_there_is_a_value():
 
 
 def test_meshes_poses_and_the_path_are_sent_and_freed_when_replaced(tmp_path):
-    with LiveLoop(Still(), load_camera(sample_camera(NAME)), track=False) as loop:
+    with LiveLoop(Still(), load_camera(sample_camera(NAME), quality="real-time"), track=False) as loop:
         view = LiveView(loop, out=tmp_path)
         view.run(until=lambda: view.last is not None)
         loop.stop()
@@ -405,7 +406,7 @@ def test_live_serves_its_page_and_ends_at_its_time(run, tmp_path):
     options = "--no-model", "--out", tmp_path / "out", "--port", "0", "--seconds", "0.5"
     result = run("live", sample_image(NAME), "--camera", sample_camera(NAME), *options)
     assert result.returncode == 0, result.stderr
-    assert "Look at http://127.0.0.1:" in result.stdout
+    assert re.search(r"^ +http://127\.0\.0\.1:\d+/\S+$", result.stdout, re.M)
     assert "view" in result.stdout
     assert not (tmp_path / "out").exists()
     assert "page" not in {thread.name for thread in threading.enumerate()}

@@ -46,7 +46,7 @@ class Eye:
     can_pipeline = False
 
     def __init__(self) -> None:
-        real = load_camera(sample_camera("still_life_cy_halves"))
+        real = load_camera(sample_camera("still_life_cy_halves"), quality="real-time")
         self.calibration, self.config = real.calibration, real.config
         self.gate, self.seen = threading.Semaphore(0), []
         self.fails = False

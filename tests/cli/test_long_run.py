@@ -75,7 +75,7 @@ class Eye:
         return False
 
     def __init__(self) -> None:
-        real = load_camera(SAMPLE)
+        real = load_camera(SAMPLE, quality="real-time")
         self.calibration, self.config = real.calibration, real.config
         self.gate = threading.Event()
         self.gate.set()

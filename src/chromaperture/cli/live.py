@@ -122,7 +122,7 @@ def live(
         limits = {"max_relative_sigma": max_relative_sigma}
         shown = LivePage(loop, host=host, port=port, out=out, **limits) if page else None
         if shown is not None:  # with --quiet too: without its token nobody can open the page
-            typer.echo(f"Look at {shown.url}; Ctrl-C ends it", err=json or quiet)
+            typer.echo(f"Look at this address; Ctrl-C ends it:\n\n    {shown.url}\n", err=json or quiet)
             if not (json or quiet):
                 typer.echo(f"Quality {quality}. {other_quality(eye, per='frame')}".rstrip())
             if is_every_address(host):

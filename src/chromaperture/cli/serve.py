@@ -69,10 +69,10 @@ def serve(
     here = access.url(port, host="localhost" if lan else None)
 
     def ready() -> None:  # with --quiet too: without its token nobody can open the page
-        typer.echo(f"Open {here}; Ctrl-C ends it", err=quiet)
+        typer.echo(f"Open this address; Ctrl-C ends it:\n\n    {here}\n", err=quiet)
         if trusted is not None:
             there = access.url(port, host=names[0])
-            typer.echo(f"From a phone in this network: {there}", err=quiet)
+            typer.echo(f"From a phone in this network:\n\n    {there}\n", err=quiet)
             if not quiet:
                 typer.echo(qr_code(there))
             typer.echo(

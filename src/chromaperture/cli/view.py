@@ -48,7 +48,8 @@ def view(
         return
     end = time.monotonic() + (math.inf if seconds is None else seconds)
     with PageServer(text, port=port) as server:
-        typer.echo(f"Look at {server.url}; Ctrl-C ends it", err=quiet)  # without its token nobody can open the page
+        # With --quiet too: without its token nobody can open the page.
+        typer.echo(f"Look at this address; Ctrl-C ends it:\n\n    {server.url}\n", err=quiet)
         try:
             while time.monotonic() < end:
                 time.sleep(min(0.5, max(0.0, end - time.monotonic())))
