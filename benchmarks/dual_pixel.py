@@ -2,44 +2,46 @@
 
 FOLDER holds NAME_left.png and NAME_right.png (8-bit RGB), NAME_depth_mm.png (0 unknown), a board at two distances
 (flat_DDDD_f4_left.png ...) and the lens's prescription. The camera is calibrated by the boards (``boards``), by the
-prescription with the sensor's crosstalk and the focus (``prescription``) or with the crosstalk alone (``uncorrected``),
-or by `calibrate` on a session that is traced through it (``session``). Shares are of all pixels of known truth.
+prescription with the sensor's crosstalk and the focus (``prescription``, by the command line ``commands``) or with the
+crosstalk alone (``uncorrected``), or by `calibrate` on a session that is traced through it (``session``). Shares are of
+all pixels of known truth.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import tifffile
 from dual_pixel_session import calibrated_by_session, write_lens_session
 
+from chromaperture.calibration.flat_boards import Corrections
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.pinhole import focused_at, paraxial
-from chromaperture.optics.prescription import Prescription
-from chromaperture_paper.dual_pixel import BOARDS_MM, correction_sentence, means, measured
-from chromaperture_paper.dual_pixel_camera import (
+from chromaperture.optics.prescription import Prescription, load_lens
+from chromaperture_paper.dual_pixel import (
     FOCUS_MM,
-    Corrections,
-    calibrated_by_boards,
-    calibrated_by_prescription,
-    capture,
-    lens_of_json,
+    PRESCRIPTION,
+    calibrated,
+    means,
+    measured,
+    scene_names,
+    scored,
+    write_session,
 )
 
-LINES = ("boards", "prescription", "uncorrected", "session")
-
-
-def board_images(data: Path) -> dict[float, np.ndarray]:
-    return {mm: capture(data, f"flat_{mm:04.0f}_f4") for mm in BOARDS_MM}
+LINES = ("boards", "prescription", "commands", "uncorrected", "session")
 
 
 def figures(data: Path, quality: str, *, spoil: Callable[[np.ndarray], np.ndarray] = lambda image: image) -> list:
     """Score every scene, calibrated by the boards; ``spoil`` changes the photographs."""
-    boards = {mm: spoil(image) for mm, image in board_images(data).items()}
-    return measured("boards", calibrated_by_boards(boards, quality), quality, data, spoil=spoil)
+    return measured("boards", calibrated(data, quality).camera, quality, data, spoil=spoil)
 
 
 def session_camera(lens: Prescription, draft: Calibration, found: Corrections, folder: Path) -> Calibration:
@@ -53,14 +55,35 @@ def session_camera(lens: Prescription, draft: Calibration, found: Corrections, f
     return calibrated_by_session(folder, lens, found.halves, draft, focus_mm=focus_mm, keep_in=folder / "measured")
 
 
+def by_commands(data: Path) -> list:
+    """Score what `calibrate` and `depth` of the command line write."""
+    with tempfile.TemporaryDirectory() as name:
+        work, names = Path(name), scene_names(data)
+        write_session(work, data)
+        scenes = [str(data / f"{scene}_left.png") for scene in names]
+        for command in (
+            ["calibrate", ".", "--out", "halves.asdf"],
+            ["depth", *scenes, "--camera", "halves.asdf", "--quality", "accurate", "--out", "."],
+        ):  # fmt: skip
+            subprocess.run([sys.executable, "-m", "chromaperture", *command, "--quiet"], cwd=work, check=True)
+        pupil_mm = Calibration.load(work / "halves.asdf").depth["accurate"].sensor_to_pupil_mm
+        maps = [[tifffile.imread(work / f"{scene}.{kind}.tiff") for kind in ("depth", "sigma")] for scene in names]
+    return [
+        scored("commands", "accurate", scene, data, depth.astype(float) - pupil_mm, sigma)
+        for scene, (depth, sigma) in zip(names, maps, strict=True)
+    ]
+
+
 def line(name: str, data: Path, qualities: list[str], camera_out: Path | None, session: Path) -> list:
     if name == "boards":
         return [scene for quality in qualities for scene in figures(data, quality)]
-    lens = lens_of_json(data / "rf50mm_prescription.json")
-    camera, found = calibrated_by_prescription(lens, board_images(data), corrected=name != "uncorrected")
-    print(correction_sentence(found))
+    if name == "commands":
+        return by_commands(data)
+    known = calibrated(data, "accurate", PRESCRIPTION, corrected=name != "uncorrected")
+    camera, found = known.camera, known.corrections
+    print(found)
     if name == "session":
-        camera = session_camera(lens, camera, found, session)
+        camera = session_camera(load_lens(data / PRESCRIPTION), camera, found, session)
     if camera_out:
         camera.save(camera_out)
     return measured(name, camera, "accurate", data)

@@ -15,14 +15,14 @@ from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.depth.field import DepthField
 from chromaperture.model.camera_file import Calibration
 from chromaperture.optics.aperture import DESIGNS, Aperture
+from chromaperture.optics.dual_pixel_rays import HalfPixels, half_pixel_rays
 from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.optics.pinhole import centered_pinhole, focused_at, paraxial, pupil_camera
 from chromaperture.optics.prescription import Prescription
 from chromaperture.optics.ray_table import RayTable, lens_rays
 from chromaperture.optics.simulator.sensor import SensorModel
 from chromaperture.optics.simulator.session import SessionPlan, write_session
-from chromaperture_paper.dual_pixel_camera import with_focus_error
-from chromaperture_paper.dual_pixel_rays import HalfPixels, half_pixel_rays
+from chromaperture_paper.dual_pixel import FOCUS_ERROR_PER_M
 
 # Even in 1 / z, from the nearest that the lens focuses to where parallax changes by .02 px
 BOARDS_MM = tuple(float(round(1 / inverse)) for inverse in np.linspace(1 / 450, 1 / 5000, 12))
@@ -70,7 +70,7 @@ def calibrated_by_session(
     focus_mm: float,
     keep_in: Path | None = None,
 ) -> Calibration:
-    """Calibrate a session of `write_lens_session` as the lens's maker would; distances count from the entrance pupil.
+    """Calibrate a session of `write_lens_session` as the lens's maker would; distances count from the sensor plane.
 
     The fit of the blur starts from a thin lens at the focus of the design, with the sensor's fall of contrast.
 
@@ -92,10 +92,12 @@ def calibrated_by_session(
     matrix = centered_pinhole(pupil.focal_px, (sensor.width_px, sensor.height_px))
     known = replace(draft, blur=thin, lens=replace(draft.lens, camera_matrix=matrix))
     found = calibrate_session(folder, lens_from=known, keep_in=keep_in).camera
-    depth = {quality: with_focus_error(_from_pupil(field, pupil_mm)) for quality, field in found.depth.items()}
+    depth = {quality: _with_focus_error(field) for quality, field in found.depth.items()}
     return replace(found, sensor=sensor, depth=depth, near_mm=draft.near_mm, far_mm=draft.far_mm)
 
 
-def _from_pupil(field: DepthField, pupil_mm: float) -> DepthField:
-    """Count distances from the lens's own entrance pupil; what the calibration takes for it stays an error of it."""
-    return replace(field, sensor_to_pupil_mm=field.sensor_to_pupil_mm - pupil_mm)
+def _with_focus_error(field: DepthField) -> DepthField:
+    """Add the error of a focus that is set anew to the covariance of A."""
+    covariance = field.covariance.copy()
+    covariance[0, 0] += (FOCUS_ERROR_PER_M / 1000 * float(field.scale_px_mm[0])) ** 2
+    return replace(field, covariance=covariance)

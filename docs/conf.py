@@ -76,6 +76,7 @@ GALLERY = [
     "designs.py",
     "blur_and_disparity.py",
     "phone_lens.py",
+    "dual_pixels.py",
     "ros_bag.py",
     "photo_to_points_open3d.py",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shutil
 import struct
+import tomllib
 import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -28,8 +29,9 @@ from chromaperture.model.camera_parts import CameraSensor, Film, Lens
 from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, sample_pupil
 from chromaperture.optics.pinhole import PupilCamera, centered_pinhole
-from chromaperture.optics.ray_table import pinhole_rays
+from chromaperture.optics.ray_table import RayTable, pinhole_rays
 from chromaperture.optics.simulator.scene import Plane, plane
+from chromaperture.optics.simulator.sensor import SensorModel
 from chromaperture.optics.simulator.session import SessionPlan, write_session
 from chromaperture.optics.simulator.textures import noise
 from chromaperture.settings.methods import PaperConfig
@@ -412,3 +414,46 @@ def painted_kernels(blur, distance_mm, *, side, finer=1):
     kernels = scipy.fft.fftshift(scipy.fft.irfft2(spectra, s=(size, size)), axes=(-2, -1))
     middle = slice(size // 2 - side // 2, size // 2 + side // 2 + 1)
     return kernels[..., middle, middle]
+
+
+# ---- dual-pixel sensors
+
+
+def write_halves(path: Path, image: np.ndarray, sides: tuple[str, str] = ("right", "left")) -> None:
+    """Write red and blue of counts (H, W, 3) as two grey PNG files, NAME_right and NAME_left."""
+    for channel, side in zip((0, 2), sides, strict=True):
+        cv2.imwrite(str(path.with_name(f"{path.stem}_{side}.png")), image[..., channel])
+
+
+def write_pair_session(
+    folder: Path, halved: RayTable, camera: PupilCamera, rulers_mm, *, lens: str | None = None, tilts: int | None = None
+) -> None:
+    """A session of pairs by a dual-pixel sensor behind rays of halves: flat boards, or chessboards where ``tilts``."""
+    sensor = SensorModel(160_000.0, 20.0, 256, 64256, 16)
+    plan = SessionPlan(distances_mm=rulers_mm, tilts=tilts or 0, sensor=sensor, ruler_error_mm=0.0)
+    write_session(folder, aperture=DESIGNS["cy_halves"], camera=camera, scenes={}, plan=plan, rays=lambda _: halved)
+    shutil.rmtree(folder / "white")
+    for picture in [*(folder / "board").iterdir(), *(folder.glob("tilt/*"))]:
+        write_halves(picture, cv2.imread(str(picture), cv2.IMREAD_UNCHANGED)[..., ::-1])
+        picture.unlink()
+    table, settings = folder / "distances.csv", folder / "session.toml"
+    table.write_text(table.read_text().replace(".png", "_left.png"))
+    known = tomllib.loads(settings.read_text())
+    square = "flat = true" if tilts is None else f"square_mm = {known['board']['square_mm']}"
+    settings.write_text(
+        f"""[sensor]
+width_px = {camera.width_px}
+height_px = {camera.height_px}
+pixel_pitch_mm = {camera.pixel_pitch_mm}
+black_level = 256
+white_level = 64256
+dual_pixel = "left-right"
+[lens]
+nominal_focal_length_mm = {known["lens"]["nominal_focal_length_mm"]}
+nominal_f_number = {known["lens"]["nominal_f_number"]}
+focused_at_about_mm = {camera.focus_mm}
+{f'prescription = "{lens}"' if lens else ""}
+[board]
+{square}
+"""
+    )

@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from chromaperture.calibration.calibrate_session import calibrate_session
+from chromaperture.calibration.flat_boards import calibrate_flat_boards
 from chromaperture.calibration.options import CalibrationConfig, Progress, silent
+from chromaperture.calibration.session import read_session
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.effects.refocusing import Focus
 from chromaperture.effects.refocusing import refocus as blur_anew
@@ -62,6 +64,11 @@ def calibrate(
         The calibration cannot be used; the message says why.
     """
     config = CalibrationConfig(lens_blur=lens_blur, per_pixel=per_pixel)
+    known = read_session(session)
+    if not known.square_mm:
+        if lens_from is not None or per_pixel or not lens_blur:
+            raise InputError("flat boards take no lens_from, lens_blur or per_pixel: leave these out")
+        return calibrate_flat_boards(known, config, progress=progress).camera
     result = calibrate_session(session, config, lens_from=lens_from, progress=progress, keep_in=keep_in)
     faults = unusable(result)
     if faults:

@@ -12,6 +12,7 @@ import time
 import warnings
 import zipfile
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -59,7 +60,57 @@ def unpack(message):
     return facts, *found, message[4 + length + 4 * count :]
 
 
+@pytest.fixture(scope="module")
+def halves():
+    """The sample as the two halves of a dual-pixel sensor, of even light; PNG files by name."""
+    _, image = open_sample(NAME)
+    level = image / np.median(image, axis=(0, 1)) * 20_000
+    counts = np.clip(level, 0, 65535).astype(np.uint16)
+    sides = {"a_left.png": counts[..., 2], "a_right.png": counts[..., 0]}
+    return {name: cv2.imencode(".png", half)[1].tobytes() for name, half in sides.items()}
+
+
+@pytest.fixture(scope="module")
+def pair_app(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pairs")
+    known = open_sample(NAME)[0].calibration
+    sensor = replace(known.sensor, dual_pixel="left-right", black_level=0.0, white_level=65535.0)
+    replace(known, sensor=sensor).save(folder / "halves.asdf")
+    with served(folder, camera=folder / "halves.asdf") as running:
+        yield running
+
+
 # ---- what it answers
+
+
+@pytest.mark.parametrize("order", [("a_left.png", "a_right.png"), ("a_right.png", "a_left.png")])
+def test_a_left_and_a_right_picture_are_measured_together(pair_app, halves, order):
+    first, second = order
+    where = f"/api/photos?camera=halves&name={first}&right={second}&left_bytes={len(halves[first])}"
+    status, message, _ = call(pair_app, "POST", where, halves[first] + halves[second])
+    assert status == 200, message
+    facts = unpack(message)[0]
+    assert facts["fill"] > 0.5
+    _, packed, _ = call(pair_app, "GET", f"/api/photos/{facts['photo']}/files")
+    archive = zipfile.ZipFile(io.BytesIO(packed))
+    assert "a.depth.tiff" in archive.namelist()
+    assert all(archive.read(name) == content for name, content in halves.items())
+
+
+def test_what_is_no_pair_is_refused_by_the_app(pair_app, halves, photo):
+    left = halves["a_left.png"]
+    for where, body in (
+        ("name=a_left.png", left),
+        ("name=a_left.png&right=a_left.png&left_bytes=10", left),
+        ("name=a_left.png&right=a_right.png&left_bytes=nan", left),
+        (f"name=a_left.png&right=a_right.png&left_bytes={len(left)}", left),
+    ):
+        status, text, _ = call(pair_app, "POST", f"/api/photos?camera=halves&{where}", body)
+        assert status == 400, text
+    height, width = photo.shape[:2]
+    where = f"/api/frames?camera=halves&width={width}&height={height}"
+    status, text, _ = call(pair_app, "POST", where, photo.tobytes())
+    assert (status, b"dual-pixel" in text) == (400, True)
 
 
 def test_a_frame_is_measured_as_python_measures_it(app, photo):

@@ -75,7 +75,8 @@ class Still(FileSource):
 def served(folder, **options):
     """A page that shows the sample; yields it and the lines said."""
     said: list[str] = []
-    with LiveLoop(Still(), load_camera(sample_camera(NAME), quality="real-time"), track=False, listener=said.append, **options) as loop:
+    eye = load_camera(sample_camera(NAME), quality="real-time")
+    with LiveLoop(Still(), eye, track=False, listener=said.append, **options) as loop:
         page = LivePage(loop, host="127.0.0.1", port=0, out=folder)
         drawing = threading.Thread(target=page.run, daemon=True)
         drawing.start()

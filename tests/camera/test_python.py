@@ -328,6 +328,7 @@ def test_a_lens_without_size_is_refused(frame):
 
 def test_a_calibration_that_cannot_be_used_is_warned_of(monkeypatch):
     made = types.SimpleNamespace(camera="the camera")
+    monkeypatch.setattr(tasks, "read_session", lambda folder: types.SimpleNamespace(square_mm=30.0))
     monkeypatch.setattr(tasks, "calibrate_session", lambda *args, **options: made)
     monkeypatch.setattr(tasks, "unusable", lambda result: ["no board was read"])
     with pytest.warns(cap.CaptureWarning, match="no board was read"):

@@ -58,7 +58,7 @@ def test_a_border_of_odd_size_moves_the_pattern(tmp_path, monkeypatch):
         raw_pattern=np.array([[0, 1], [3, 2]], np.uint8), raw_image_visible=full[1:63, 5:], color_desc=b"RGBG",
         black_level_per_channel=[0, 0, 0, 0], white_level=4095,
     )  # fmt: skip
-    monkeypatch.setattr(raw_files, "_opened", lambda path: contextlib.nullcontext(raw))
+    monkeypatch.setattr(raw_files, "_opened", lambda path, shot=0: contextlib.nullcontext(raw))
     counts, _ = raw_files.read_raw(tmp_path / "a.cr2")
     assert counts.shape == (31, 45, 3)
     assert (counts == 2 * np.array(list(LIGHT.values()))).all()
@@ -71,7 +71,7 @@ def test_the_white_level_is_where_the_camera_says_light_ends_to_be_linear(tmp_pa
         raw_pattern=np.array([[0, 1], [3, 2]], np.uint8), raw_image_visible=even_light("RGGB"), color_desc=b"RGBG",
         black_level_per_channel=[512] * 4, white_level=16383, camera_white_level_per_channel=stated,
     )  # fmt: skip
-    monkeypatch.setattr(raw_files, "_opened", lambda path: contextlib.nullcontext(raw))
+    monkeypatch.setattr(raw_files, "_opened", lambda path, shot=0: contextlib.nullcontext(raw))
     _, encoding = raw_files.read_raw(tmp_path / "a.arw")
     assert encoding.white_level == 2 * white
 

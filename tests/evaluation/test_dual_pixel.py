@@ -1,26 +1,28 @@
 """Dual-pixel photographs: noise that both halves share, a session through a prescription, a focus that is set anew."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
-from chromaperture.camera.method import default_config, sensor_noise
+from chromaperture.camera.method import default_config, noise_of_photographs, sensor_noise
+from chromaperture.color.shared_noise import shared_noise_ratio
 from chromaperture.depth.field import DepthField
+from chromaperture.model.camera_file import Calibration
+from chromaperture.optics.dual_pixel_rays import HalfPixels
+from chromaperture.optics.lens_blur import BlurModel
 from chromaperture.optics.prescription import load_lens
 from chromaperture.settings.methods import ALLOWED_GROWTH, AccurateConfig
 from chromaperture.system.errors import InputError
-from chromaperture_paper import dual_pixel_camera
-from chromaperture_paper.dual_pixel_camera import FOCUS_SIGMA, camera_for, noise_scale, uncalibrated, with_focus_error
-from chromaperture_paper.dual_pixel_rays import HalfPixels
+from chromaperture_paper.dual_pixel import FOCUS_ERROR_PER_M
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 import dual_pixel_session
 
 SHAPE = (256, 384)
-SHIFTS_PX = dual_pixel_camera._SHIFTS_PX  # private: the test is of the settings that go with them
 
 
 def photograph(rng, camera, *, times, shared):
@@ -33,27 +35,41 @@ def photograph(rng, camera, *, times, shared):
     return np.dstack([halves[0], sum(halves) / 2, halves[1]]).astype(np.float32)
 
 
+def sensor_of_halves() -> Calibration:
+    """A camera of which only the sensor is known, with a noise that is less than that of its photographs."""
+    camera = Calibration.uncalibrated("cy_halves", width_px=SHAPE[1], height_px=SHAPE[0])
+    sensor = replace(camera.sensor, full_well_electrons=160_000.0, read_noise_electrons=14.0, dual_pixel="left-right")
+    return replace(camera, sensor=sensor)
+
+
 @pytest.mark.parametrize(("times", "shared"), [(2.0, 0.5), (6.0, 0.5), (2.0, 0.0)])
 def test_noise_is_measured_where_there_is_no_detail(rng, times, shared):
-    camera = uncalibrated((*SHAPE, 3))
-    found = noise_scale(photograph(rng, camera, times=times, shared=shared), camera)
+    camera = sensor_of_halves()
+    image = photograph(rng, camera, times=times, shared=shared)
+    variance = sensor_noise(image, camera)
+    found = shared_noise_ratio(image, variance)
     # Green's share of the variance, threefold; the flattest tenth of squares of 256 px is a tenth below the mean.
     expected = 3 * times * (1 + shared) / 2
     assert found == pytest.approx(expected, rel=0.2)
+    # In place of the camera's noise, where the likelihood is that of half pixels; nothing clearer is left to find.
+    np.testing.assert_allclose(noise_of_photographs(camera, halves=True).variance(image), found * variance, rtol=1e-5)
 
 
 def test_a_photograph_without_noise_is_taken_for_one_of_the_cameras():
-    camera = uncalibrated((*SHAPE, 3))
-    assert noise_scale(np.full((*SHAPE, 3), 0.4, np.float32), camera) == 1.0
+    image = np.full((*SHAPE, 3), 0.4, np.float32)
+    assert shared_noise_ratio(image, sensor_noise(image, sensor_of_halves())) == 1.0
 
 
-def test_settings_without_blur_are_those_of_the_calibration(rng):
-    camera = uncalibrated((*SHAPE, 3))
-    eye = camera_for(photograph(rng, camera, times=4.0, shared=0.5), camera, "accurate")
-    assert isinstance(eye.config.matcher, AccurateConfig)
-    assert not eye.config.matcher.uses_blur
-    assert eye.config == default_config(camera, "accurate")
-    assert eye.calibration.sensor == camera.sensor
+def test_a_dual_pixel_camera_matches_with_the_settings_of_half_pixels_where_its_blur_is_known():
+    camera = sensor_of_halves()
+    plain = default_config(camera, "accurate").matcher
+    assert isinstance(plain, AccurateConfig)
+    assert not plain.uses_blur
+    blurred = replace(camera, blur=BlurModel(5.0, 5000.0))
+    matcher = default_config(blurred, "accurate").matcher
+    assert matcher == matcher.with_half_pixels()
+    film = replace(blurred, sensor=replace(camera.sensor, dual_pixel=None))
+    assert not default_config(film, "accurate").matcher.spectral.dual_pixel
 
 
 def test_settings_of_half_pixels_are_those_of_the_blur_but_for_what_halves_share():
@@ -72,9 +88,9 @@ def test_settings_of_half_pixels_are_those_of_the_blur_but_for_what_halves_share
 
 def test_a_focus_that_is_set_anew_widens_the_error_bar_by_as_much():
     field = DepthField(np.array([0.7, 0.01, 0.0]), np.array([700.0, 1.0, 2.0]), 0.0, np.zeros((3, 3)))
-    wider = with_focus_error(field)
+    wider = dual_pixel_session._with_focus_error(field)
     # A moves by B times the change of the inverse distance.
-    assert np.sqrt(wider.covariance[0, 0]) == pytest.approx(700.0 * FOCUS_SIGMA / 1000)
+    assert np.sqrt(wider.covariance[0, 0]) == pytest.approx(700.0 * FOCUS_ERROR_PER_M / 1000)
     assert not field.covariance.any()
 
 

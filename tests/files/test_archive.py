@@ -112,7 +112,7 @@ def test_nothing_is_lost_with_a_worker_or_with_the_scheduler(tmp_path):
         again = list(archive.measure_on_cluster(images, made, started.address))
     finally:
         started.close()
-    assert {f"{archive_store.stem_of(o.image)}.json" for o in again if o.kept} == complete
+    assert {f"{Path(o.image).stem}.json" for o in again if o.kept} == complete
     assert not [outcome.error for outcome in again if outcome.error]
     assert {name: (tmp_path / "out" / name).stat().st_mtime_ns for name in before} == before
     private = [path for path in (tmp_path / "out").iterdir() if path.name.startswith(".chromaperture-")]

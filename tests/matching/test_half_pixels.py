@@ -2,19 +2,18 @@
 
 import json
 
-import cv2
 import numpy as np
 import pytest
 
+from chromaperture.calibration import flat_boards
 from chromaperture.optics.aperture import DESIGNS, centroids
+from chromaperture.optics.dual_pixel_rays import HalfPixels, fit_to_rays, half_pixel_rays
 from chromaperture.optics.lens_blur import BlurModel, LensBlur, displacement, sample_pupil
 from chromaperture.optics.pinhole import PupilCamera, focused_at, pupil_camera
 from chromaperture.optics.prescription import load_lens
 from chromaperture.optics.ray_table import lens_rays, pinhole_rays
 from chromaperture.system.errors import InputError
-from chromaperture_paper import dual_pixel_camera as dual
 from chromaperture_paper.dual_pixel import score
-from chromaperture_paper.dual_pixel_rays import HalfPixels, fit_to_rays, half_pixel_rays
 
 CAMERA = PupilCamera(96, 64, 400.0, 12.0, 2000.0, 50.0, 0.12)
 HALVES = HalfPixels(slope=0.4, half_slope_px=40.0)
@@ -87,12 +86,14 @@ def test_the_model_of_a_prescription_says_where_its_rays_meet_the_sensor():
     np.testing.assert_allclose(found[lit], beside[lit], atol=0.05 * np.abs(beside[lit]).max())
 
 
-def flat(value):
-    return np.full((64, 96), value), np.full((64, 96), 0.05)
+def flat(distance_mm):
+    value = np.full((64, 96), 1.0 - 900 / distance_mm)
+    return flat_boards.Seen(distance_mm, value, np.full_like(value, 0.05))
 
 
-def test_two_boards_determine_a_curve():
-    field = dual._two_board_field({600.0: flat(1.0 - 900 / 600), 1500.0: flat(1.0 - 900 / 1500)}, 2)
+@pytest.mark.parametrize("distances", [(600.0, 1500.0), (600.0, 900.0, 900.0, 4000.0)])
+def test_boards_determine_a_curve(distances):
+    field = flat_boards._curve([flat(mm) for mm in distances], 2)
     model = field.model(96, 64)
     np.testing.assert_allclose(model.infinity_disparity_px, 1.0, rtol=1e-6)
     np.testing.assert_allclose(model.scale_px_mm, 900.0, rtol=1e-6)
@@ -102,13 +103,13 @@ def test_the_crosstalk_is_found_from_how_far_boards_seem_apart():
     true, start, scale = HalfPixels(0.42, 320.0), HalfPixels(0.35, 400.0), 700.0
     x = np.arange(768) - 383.5
     seen = true.slope_at(x) / start.slope_at(x)  # disparity found over that of the camera assumed
-    layers = {mm: (np.tile(-scale / mm * seen, (8, 1)), np.ones((8, 768))) for mm in (600.0, 1500.0)}
-    found = dual._refitted(start, layers, scale)
+    layers = [flat_boards.Seen(mm, np.tile(-scale / mm * seen, (8, 1)), np.ones((8, 768))) for mm in (600.0, 1500.0)]
+    found = flat_boards._refitted(start, layers, scale)
     assert found.slope == pytest.approx(0.42, rel=1e-3)
     assert found.half_slope_px == pytest.approx(320.0, rel=1e-3)
 
 
-def test_a_lens_of_the_sets_format_is_read(tmp_path):
+def test_a_lens_of_a_raytracers_json_is_read(tmp_path):
     surfaces = [
         {"type": "Spheric", "r": 10.0, "roc": 50.0, "d_next": 4.0, "mat2": "1.5/60"},
         {"type": "Aspheric", "r": 9.0, "roc": -50.0, "d_next": 2.0, "mat2": "air", "k": 0.5, "ai": [0.0, 1e-6]},
@@ -116,24 +117,15 @@ def test_a_lens_of_the_sets_format_is_read(tmp_path):
     ]
     path = tmp_path / "lens.json"
     path.write_text(json.dumps({"surfaces": surfaces}))
-    lens = dual.lens_of_json(path)
+    lens = load_lens(path)
     assert [s.radius_mm for s in lens.surfaces] == [50.0, -50.0, np.inf]
     assert (lens.surfaces[0].index_d, lens.surfaces[0].abbe) == (1.5, 60.0)
     assert (lens.surfaces[1].conic, lens.surfaces[1].coefficients) == (0.5, (1e-6,))
-    assert (lens.stop_index, lens.sensor_gap_mm, len(set(lens.wavelengths_um))) == (2, 48.0, 1)
+    assert (lens.stop_index, lens.sensor_gap_mm) == (2, 48.0)
     for text in ("", "{}", json.dumps({"surfaces": [{"type": "Stop"}]})):
         path.write_text(text)
         with pytest.raises(InputError, match="no lens prescription"):
-            dual.lens_of_json(path)
-
-
-def test_photographs_of_both_halves_become_a_capture(tmp_path):
-    for side, value in (("left", 10), ("right", 200)):
-        cv2.imwrite(str(tmp_path / f"a_{side}.png"), np.full((4, 5, 3), value, np.uint8))
-    image = dual.capture(tmp_path, "a", linear=lambda v: v)
-    np.testing.assert_allclose(image[0, 0], np.array([200, 105, 10]) / 255, rtol=1e-6)
-    with pytest.raises(InputError, match=r"b_left\.png"):
-        dual.capture(tmp_path, "b")
+            load_lens(path)
 
 
 def test_scores_are_of_all_pixels_and_allow_for_the_steps_of_the_truth():

@@ -116,7 +116,7 @@ def camera_page(calibration: Calibration, name: str, *, quality: str = "real-tim
             panels.append(Panel(title, values, unit, *_ends(values), OTHER, digits, _facts(values, unit, digits)))
     return Page(
         title=name,
-        subtitle=f"{calibration.aperture.title}, {width}x{height} px" + (f", quality {quality}" if panels else ""),
+        subtitle=f"{calibration.pupil_title}, {width}x{height} px" + (f", quality {quality}" if panels else ""),
         panels=panels,
         tables=(TextTable("Camera", ("figure", "value"), rows),),
         notes=() if panels else (f"No depth curve of quality {quality}: this camera gives disparity in px.",),

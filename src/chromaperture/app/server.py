@@ -19,7 +19,7 @@ from chromaperture.app.device_plan import color_tables
 from chromaperture.app.gate import Access, Gate, Refused
 from chromaperture.app.listening import require_extra
 from chromaperture.app.messages import File, number, pack_frame, saved, whole
-from chromaperture.app.state import DEPTH_INSIDE, AppState
+from chromaperture.app.state import DEPTH_INSIDE, AppState, split_file
 from chromaperture.frame.frame_files import OUTPUTS
 from chromaperture.optics.aperture import DESIGNS
 from chromaperture.system.errors import ChromapertureError, InputError, lacks_memory
@@ -152,11 +152,14 @@ class Routes:
         self._free()
         asked = request.query_params
         async with self.app_state.upload(request, asked.get("name", "photo.png")) as path:
+            right = None
+            if "right" in asked:  # the body is two files, one after the other
+                right = split_file(path, asked["right"], number(asked, "left_bytes"))
 
             def work() -> bytes:
                 began = time.perf_counter()
                 key, photo = self.app_state.measure_photo(
-                    path, camera=asked.get("camera", ""), quality=asked.get("quality", "real-time")
+                    path, right=right, camera=asked.get("camera", ""), quality=asked.get("quality", "real-time")
                 )
                 facts = {
                     "seconds": time.perf_counter() - began, "notes": photo.notes, "photo": key,
@@ -190,14 +193,14 @@ class Routes:
         """Return the files of a photograph."""
         key = request.path_params["photo"]
         packed = await self.queue.run(partial(self.app_state.photo_files, key))
-        return saved(packed, f"{self.app_state.photo(key).measured.path.stem}.zip", "application/zip")
+        return saved(packed, f"{self.app_state.photo(key).measured.stem}.zip", "application/zip")
 
     async def embedded(self, request: Any) -> Any:
         """Return a photograph with its depth inside."""
         key = request.path_params["photo"]
         output = request.query_params.get("format", DEPTH_INSIDE[0])
         content = await self.queue.run(partial(self.app_state.with_depth_inside, key, output))
-        name = self.app_state.photo(key).measured.path.stem + OUTPUTS[output].suffix
+        name = self.app_state.photo(key).measured.stem + OUTPUTS[output].suffix
         return saved(content, name, "image/jpeg")
 
     async def trust(self, request: Any) -> Any:

@@ -30,6 +30,7 @@ from chromaperture.app.messages import collect_warnings
 from chromaperture.app.session_folder import Holding
 from chromaperture.camera.camera import CodedApertureCamera
 from chromaperture.camera.method import default_config
+from chromaperture.capture.dual_pixel import half_of
 from chromaperture.capture.files import Decoded, linearise
 from chromaperture.color.srgb import linear_to_srgb_bytes
 from chromaperture.effects.edge_aware import filter_disparity
@@ -62,7 +63,7 @@ class Photo:
     measured: MeasuredFile
     camera: CodedApertureCamera
     notes: list[str]
-    original: bytes  # the file as it was sent
+    originals: dict[str, bytes]  # the files as they were sent, by name
     sharp: dict[str, SharpPicture] = field(default_factory=dict)
 
 
@@ -146,6 +147,13 @@ class AppState:
         path = self.camera_path(name)
         return self._open(path, path.stat().st_mtime_ns, quality)
 
+    def video_eye(self, name: str, quality: str) -> CodedApertureCamera:
+        """Return `eye` for pictures of a browser; raises InputError for a dual-pixel camera, which takes two."""
+        eye = self.eye(name, quality)
+        if eye.calibration.sensor.dual_pixel is not None:
+            raise InputError("this is a dual-pixel camera, which video does not show: open its left and right picture")
+        return eye
+
     def plan(self, name: str, size_px: tuple[int, int], exchange: str) -> bytes:
         """Return the plan by which a browser measures frames of a size, see `make_plan`; raises InputError."""
         path = self.camera_path(name)
@@ -154,7 +162,7 @@ class AppState:
     def _make_plan(self, name: str, path: Path, changed_ns: int, size_px: tuple[int, int], exchange: str) -> bytes:
         if min(size_px) < 1 or math.prod(size_px) > MOST_PX:
             raise InputError("a browser measures frames of up to 4 megapixels; the computer measures this one")
-        eye = self.eye(name, "real-time")
+        eye = self.video_eye(name, "real-time")
         sensor = eye.calibration.sensor
         frame_px = sensor.width_px, sensor.height_px
         if size_px != frame_px and not eye.calibration.is_calibrated:
@@ -181,19 +189,25 @@ class AppState:
         width, height = size_px
         if min(size_px) < 1 or len(data) != 3 * width * height:
             raise InputError("a frame is not as large as it says; reload the page")
-        eye = self.eye(camera, quality)
+        eye = self.video_eye(camera, quality)
         counts = np.frombuffer(data, np.uint8).reshape(height, width, 3)
         encoding = eye.calibration.sensor.encoding if eye.calibration.is_calibrated else None
         with collect_warnings() as notes:
             frame = eye.measure(linearise(Decoded(counts), camera_encoding=encoding))
         return frame, notes()
 
-    def measure_photo(self, path: Path, *, camera: str, quality: str) -> tuple[str, Photo]:
-        """Measure a photograph's file and keep the result for a while; returns its key; raises InputError."""
+    def measure_photo(self, path: Path, *, camera: str, quality: str, right: Path | None = None) -> tuple[str, Photo]:
+        """Measure a photograph's file, of a dual-pixel camera perhaps two, and keep the result for a while.
+
+        Returns its key; raises InputError.
+        """
         eye = self.eye(camera, quality)
+        if right is not None and (half := half_of(path)) is not None and half[1]:
+            path, right = right, path  # two files come in any order
         with collect_warnings() as notes:
-            measured = measure_only(path, eye, out=self.folder / "photos")
-        photo = Photo(measured, eye.at_size(*measured.frame.disparity_px.shape[::-1]), notes(), path.read_bytes())
+            measured = measure_only(path, eye, out=self.folder / "photos", right=right)
+        files = {file.name: file.read_bytes() for file in (path, right) if file is not None}
+        photo = Photo(measured, eye.at_size(*measured.frame.disparity_px.shape[::-1]), notes(), files)
         key = secrets.token_urlsafe(9)
         self._photos[key] = photo
         while len(self._photos) > _KEPT_PHOTOS:
@@ -260,8 +274,9 @@ class AppState:
                 for output in DEPTH_INSIDE:
                     with contextlib.suppress(InputError):
                         content = self.with_depth_inside(key, output)
-                        archive.writestr(photo.measured.path.stem + OUTPUTS[output].suffix, content)
-                archive.writestr(photo.measured.path.name, photo.original)
+                        archive.writestr(photo.measured.stem + OUTPUTS[output].suffix, content)
+                for name, original in photo.originals.items():
+                    archive.writestr(name, original)
         return packed.getvalue()
 
 
@@ -271,6 +286,16 @@ def safe_name(name: str) -> str:
     plain = "".join(c if c.isalnum() or c in "._-" else "_" for c in last).lstrip(".")
     stem, dot, suffix = plain.rpartition(".")
     return f"{(stem if dot else plain)[:90] or 'photo'}{f'.{suffix[:8]}' if dot else ''}"
+
+
+def split_file(path: Path, name: str, first_bytes: float) -> Path:
+    """Cut a file in two; what follows so many bytes goes to a file beside it, whose path is returned."""
+    content, second = path.read_bytes(), path.with_name(safe_name(name))
+    if second == path or not 0 < first_bytes < len(content):
+        raise InputError("two files of different names are needed, the left and the right picture of one exposure")
+    path.write_bytes(content[: int(first_bytes)])
+    second.write_bytes(content[int(first_bytes) :])
+    return second
 
 
 def _open(path: Path, changed_ns: int, quality: Quality) -> CodedApertureCamera:
@@ -295,6 +320,7 @@ def _described(path: Path) -> dict[str, Any]:
         "f_number": calibration.lens.f_number,
         "in_focus": calibration.in_focus_text if calibration.is_calibrated else None,
         "calibrated": calibration.is_calibrated,
+        "dual_pixel": sensor.dual_pixel is not None,
         "siting": calibration.sensor.siting or "left",
         "holding": _holding(calibration),
     }

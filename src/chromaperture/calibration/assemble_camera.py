@@ -19,6 +19,7 @@ from chromaperture.calibration.chessboard import Intrinsics
 from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.calibration.session import Session, nominal_depth_model
 from chromaperture.calibration.white_sheets import WhiteSheets
+from chromaperture.capture.dual_pixel import files_of
 from chromaperture.capture.exif import read_model
 from chromaperture.capture.picture_format import described
 from chromaperture.capture.shots import is_photograph
@@ -72,7 +73,7 @@ def assemble_camera(
         provenance={},
         blur=blur,
         channel_moves_px=channel_moves_px,
-        board=Board(session.inner_corners, session.square_mm),
+        board=Board(session.inner_corners, session.square_mm) if session.square_mm else None,
     )
 
 
@@ -94,7 +95,10 @@ def origin(
         lens = {"design": lens_from.design, "date": lens_from.provenance.get("date"),
                 "focal_length_mm": lens_from.lens.focal_length_mm}  # fmt: skip
     texts = (session.folder / name for name in ("session.toml", "distances.csv"))
-    files = (*texts, *session.boards, *session.tilts, *sheets.files)
+    photographs = [*session.boards, *session.tilts, *sheets.files]
+    if session.sensor.dual_pixel is not None:
+        photographs = [file for path in photographs for file in files_of(path)]
+    files = (*texts, *photographs)
     model = next(filter(None, map(read_model, filter(is_photograph, files))), None)
     if model is not None:
         made["camera_model"] = model

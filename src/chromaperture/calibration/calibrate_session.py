@@ -25,6 +25,7 @@ from chromaperture.calibration.curves import (
 )
 from chromaperture.calibration.fit_fields import DepthFit
 from chromaperture.calibration.fit_response import disparity_error, with_response
+from chromaperture.calibration.flat_boards import with_order_found
 from chromaperture.calibration.options import DEFAULT, Cache, CalibrationConfig, Progress, silent
 from chromaperture.calibration.place_boards import BoardDistances, PlacedBoards, measure_pinhole, place_boards
 from chromaperture.calibration.read_boards import BoardMeasurement, grid, measure_again, measure_boards, pixel_sigma
@@ -36,6 +37,7 @@ from chromaperture.depth.field import DepthField, degree_of, with_scale_error
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.scale import MATCHED_SIZE, resized
 from chromaperture.settings.methods import QUALITIES, Quality
+from chromaperture.system.errors import InputError
 
 _FAR_OFF = 0.5  # of a ruler, which no board that was measured in mm is off by; chosen by hand
 
@@ -112,6 +114,12 @@ def calibrate_session(
     """
     cache = Cache(None if keep_in is None else Path(keep_in))
     session = read_session(folder)
+    if not session.square_mm:
+        raise InputError(f"{session.folder} is a session of flat boards, which `calibrate_flat_boards` calibrates")
+    order_notes: tuple[str, ...] = ()
+    if session.sensor.dual_pixel is not None:
+        session, order_notes = with_order_found(session)
+        config = dataclasses.replace(config, lens_blur=False)  # of ramps, which chessboards do not tell
     lens_from = _at_size_of(session, lens_from)
     lens = lens_from.blur if lens_from else None
     pinhole = measure_pinhole(session, lens_from, cache=cache, progress=progress)
@@ -153,7 +161,7 @@ def calibrate_session(
             rulers_mm=[board.ruler_mm for board, is_used in zip(boards, evidence.used, strict=True) if is_used],
         ),
         fits=fits,
-        notes=(*tone_notes, *chain(*of_steps), *_weaknesses(session, evidence, fits)),
+        notes=(*order_notes, *tone_notes, *chain(*of_steps), *_weaknesses(session, evidence, fits)),
         session=dataclasses.replace(session),  # without the boards that it keeps
         residual_px=residuals,
         pixel_sigma_px={quality: pixel_sigma(residual) for quality, residual in residuals.items()},

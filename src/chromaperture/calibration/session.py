@@ -19,10 +19,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from chromaperture.capture.dual_pixel import pairs
 from chromaperture.capture.files import format_of, read_light
 from chromaperture.capture.picture_format import PictureFormat
 from chromaperture.capture.shots import counted, photographs
-from chromaperture.color.encoding import Pattern, Siting, StatedFacts
+from chromaperture.color.encoding import Halves, Pattern, Siting, StatedFacts
 from chromaperture.color.image import is_saturated
 from chromaperture.color.unmixing import view_reach
 from chromaperture.depth.conversion import DepthModel, PaperParameters, paper_to_model
@@ -47,9 +48,11 @@ from chromaperture.system.validation import (
 # Px of a reduced photograph by which the widest blur of the boards displaces the pupil's edge, at least: bench50's
 # boards, which are not reduced, have 11.6. Their lens on 24 megapixels gets 1/8, as from `working_scale`.
 _WIDEST_PX = 10.0
+_OF_RAMPS = 3 * np.pi / 16  # of the reach of halves of the pupil: that of ramps across it from 0 to 2
 _KEPT_BYTES = 300e6  # of decoded boards: 66 of 24 megapixels at their working scale; chosen by hand
 _MOST_CSV_BYTES = 1_000_000  # of distances.csv: 20,000 boards
 
+PAIR_DESIGN = "cy_halves"  # what a dual-pixel sensor sees: the right of the pupil is red, the left blue
 # Name of the white sheet through a whole pupil of one filter; film without a name has none.
 SHEETS = {"cyan": "sheet_c", "yellow": "sheet_y", "magenta": "sheet_m", "red": "sheet_r", "green": "sheet_g",
           "blue": "sheet_b"}  # fmt: skip
@@ -72,7 +75,7 @@ class Session:
     nominal_f_number: float
     focused_at_about_mm: float
     inner_corners: tuple[int, int]  # (columns, rows)
-    square_mm: float
+    square_mm: float  # 0: the boards are flat texture without a chessboard, see `flat_boards.py`
     ruler_error_mm: float
     # Photograph of the board square to the axis, and its distance from the sensor plane by ruler, mm.
     boards: dict[Path, float]
@@ -80,6 +83,10 @@ class Session:
     full_size_px: tuple[int, int] | None = None  # width and height of the photographs; None: those of ``sensor``
     tone_error: float = 0.0  # of the exponent by which decoded values grow with light, see `tone_curve`
     form: PictureFormat | None = None  # of the first board's file
+    prescription: str | None = None  # of the lens: a name, or a file beside session.toml
+    from_pupil: bool = False  # distances of flat boards count from the entrance pupil
+    range_mm: tuple[float, float] | None = None  # of depth, from the sensor plane; None: about that of the boards
+    focus_error_per_m: float = 0.0  # standard deviation of the focus of photographs from the boards', 1/m
     _kept: dict[Path, np.ndarray] = field(default_factory=dict, init=False, repr=False, compare=False)  # see `read`
 
     @property
@@ -123,6 +130,10 @@ class Session:
         # Corners and white sheets need a number everywhere: what is cut off counts as saturated.
         return np.nan_to_num(reduced(image, working), nan=1.0)
 
+    def with_halves(self, order: Halves) -> Session:
+        """Return the session with the halves of its photographs in another order."""
+        return replace(self, sensor=replace(self.sensor, dual_pixel=order))
+
     def decoded_as(self, sensor: CameraSensor) -> Session:
         """Return the session with its photographs decoded as those that a camera was calibrated on."""
         decoding = {
@@ -162,6 +173,7 @@ def read_session(folder: str | Path) -> Session:
     if not os.path.isfile(settings):
         raise InputError(f"cannot read {quoted(settings)}: there is no such file; is this a session folder?")
     table = checked(_SessionTable, read_toml(settings), where=quoted(settings))
+    _check_kind(table, quoted(settings))
     boards = _distances(folder)
     full = CameraSensor(**table.sensor.model_dump(exclude={"linear", "tone_error"}))
     form = _format_of_first(boards, full.encoding.stated)
@@ -178,6 +190,8 @@ def read_session(folder: str | Path) -> Session:
     sensor = resized_sensor(full, *reduced_size(size, _scale(full, table.lens, boards)))
     tilts, left_out = photographs(folder / "tilt", _kind(boards))
     left_out |= photographs(folder / "white", _kind(boards))[1]
+    if full.dual_pixel is not None:
+        tilts = pairs(tilts, left_out)
     if left_out:
         warnings.warn(
             f"left out of tilt/ and white/, as distances.csv names {_kind(boards)} files: {counted(left_out)}",
@@ -187,20 +201,39 @@ def read_session(folder: str | Path) -> Session:
     check_units(np.array([*boards.values()]), table.lens.focused_at_about_mm, where=str(folder / "distances.csv"))
     return Session(
         folder=folder,
-        design=design_named(table.design).name,
+        design=design_named(table.design or PAIR_DESIGN).name,
         sensor=sensor,
         nominal_focal_length_mm=table.lens.nominal_focal_length_mm,
         nominal_f_number=table.lens.nominal_f_number,
         focused_at_about_mm=table.lens.focused_at_about_mm,
         inner_corners=table.board.inner_corners,
-        square_mm=table.board.square_mm,
+        square_mm=table.board.square_mm or 0.0,
         ruler_error_mm=table.board.ruler_error_mm,
         boards=boards,
         tilts=tuple(tilts),
         full_size_px=size,
         tone_error=table.sensor.tone_error,
         form=form,
+        prescription=table.lens.prescription,
+        from_pupil=table.board.measured_from == "pupil",
+        range_mm=None if table.depth is None else (table.depth.near_mm, table.depth.far_mm),
+        focus_error_per_m=table.lens.focus_error_per_m,
     )
+
+
+def _check_kind(table: _SessionTable, where: str) -> None:
+    """Raise InputError where film and a dual-pixel sensor, or a chessboard and flat boards, are mixed up."""
+    is_pair, board = table.sensor.dual_pixel is not None, table.board
+    if is_pair == bool(table.design):
+        raise InputError(f"{where}: give either design, the name of the film, or dual_pixel below [sensor]")
+    if board.flat == (board.square_mm is not None):
+        raise InputError(f"{where}: give either square_mm of the chessboard or flat = true below [board]")
+    if not is_pair and (board.flat or table.lens.prescription):
+        raise InputError(f"{where}: flat boards and a lens's prescription calibrate a dual-pixel sensor only")
+    if not board.flat and (table.lens.prescription or board.measured_from == "pupil"):
+        raise InputError(f'{where}: a prescription and measured_from = "pupil" need flat = true below [board]')
+    if table.depth is not None and not table.depth.near_mm < table.depth.far_mm:
+        raise InputError(f"{where}: near_mm must be below far_mm")
 
 
 def _format_of_first(boards: Mapping[Path, float], stated: StatedFacts) -> PictureFormat | None:
@@ -250,6 +283,7 @@ class _SensorTable(Table):
     tone_error: Annotated[float, Field(ge=0, lt=1)] = 0.0
     siting: Siting | None = None
     primaries: Literal["srgb"] | None = None
+    dual_pixel: Halves | None = None
 
 
 class _LensTable(Table):
@@ -258,14 +292,18 @@ class _LensTable(Table):
     nominal_focal_length_mm: _Length
     nominal_f_number: _Length
     focused_at_about_mm: Annotated[float, Field(gt=0)]  # inf is a lens focused at infinity; NaN is not > 0
+    prescription: Name | None = None
+    focus_error_per_m: NotNegative = 0.0
 
 
 class _BoardTable(Table):
     """``[board]``."""
 
     inner_corners: tuple[_Corners, _Corners] = (9, 6)
-    square_mm: _Length
+    square_mm: _Length | None = None
     ruler_error_mm: NotNegative = 3.0
+    flat: bool = False  # texture without a chessboard
+    measured_from: Literal["sensor", "pupil"] = "sensor"
 
 
 class _ExposureTable(Table):
@@ -274,14 +312,22 @@ class _ExposureTable(Table):
     relative_to_open: Positive = 1.0
 
 
+class _DepthTable(Table):
+    """``[depth]``: the working range."""
+
+    near_mm: _Length
+    far_mm: _Length
+
+
 class _SessionTable(Table):
     """A ``session.toml``."""
 
-    design: Name
+    design: Name = ""
     sensor: _SensorTable
     lens: _LensTable
     board: _BoardTable
     exposure: _ExposureTable = _ExposureTable()
+    depth: _DepthTable | None = None
 
 
 def _distances(folder: Path) -> dict[Path, float]:
@@ -341,9 +387,10 @@ def nominal_depth_model(session: Session) -> DepthModel:
     if z_focus <= f:
         raise InputError(f"focused_at_about_mm = {session.focused_at_about_mm:g} lies inside the focal length")
     image_distance = f / (1 - f / z_focus)  # f for a lens focused at infinity
+    reach = view_reach(design_named(session.design)) * (1.0 if session.sensor.dual_pixel is None else _OF_RAMPS)
     parameters = PaperParameters(
         in_focus_mm=z_focus + image_distance,
-        baseline_mm=view_reach(design_named(session.design)) * f / session.nominal_f_number,  # b = 2 r_c
+        baseline_mm=reach * f / session.nominal_f_number,  # b = 2 r_c
         sensor_to_pupil_mm=image_distance,
         focal_length_mm=f,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from chromaperture.color.noise import fit_photon_noise, noise_samples, photon_no
 from chromaperture.color.unmixing import own_film_unmixing
 from chromaperture.model.camera_parts import CameraSensor, Film
 from chromaperture.optics.aperture import channel_transmission, design_named
+from chromaperture.optics.dual_pixel_rays import PURE
 from chromaperture.system.errors import InputError
 
 _NOISE_BOARDS = 8  # boards that the noise is fitted to where there is no sheet: more were not needed; chosen by hand
@@ -69,6 +70,8 @@ def _colour_matrix(session: Session) -> tuple[bool | None, list[str]]:
 
 def _film(session: Session) -> tuple[Film, list[str]]:
     """Return the colours of the filters: measured, or those of usual film where a sheet is missing; and notes."""
+    if session.sensor.dual_pixel is not None:
+        return film_of_halves(), []
     aperture, notes = design_named(session.design), []
     clear = session.white("open")
     if clear is None:
@@ -92,6 +95,12 @@ def _film(session: Session) -> tuple[Film, list[str]]:
         notes.append("no white sheet through the aperture: the colour balance is computed from the film")
         white = np.maximum(channel_transmission(aperture.with_film(film)), _DARKEST) * clear
     return Film({name: film[name] * clear for name in aperture.views}, clear, white), notes
+
+
+def film_of_halves(film: Mapping[str, Sequence[float]] = PURE) -> Film:
+    """Return the colours of a dual-pixel sensor's halves; without crosstalk each sees its side of the pupil."""
+    colours = {name: np.array(colour, float) for name, colour in film.items()}
+    return Film(colours, np.ones(3), np.sum([*colours.values()], axis=0) / 2)
 
 
 def _sensor_with_noise(session: Session) -> tuple[CameraSensor, list[str]]:

@@ -16,6 +16,7 @@ from chromaperture.camera.alignment import ChannelAlignment
 from chromaperture.camera.memory import check_camera_memory
 from chromaperture.camera.method import default_config, photograph_quality, repaired, scaled_method
 from chromaperture.capture.checks import check_capture, check_form
+from chromaperture.capture.dual_pixel import refuse_half
 from chromaperture.capture.files import Photograph, read_light
 from chromaperture.capture.picture_header import same_frame
 from chromaperture.color.image import checked_image
@@ -228,7 +229,12 @@ class CodedApertureCamera:
         return self.calibration.sensor.width_px, self.calibration.sensor.height_px
 
     def read(
-        self, path: str | Path, *, black_level: float | None = None, white_level: float | None = None
+        self,
+        path: str | Path,
+        *,
+        black_level: float | None = None,
+        white_level: float | None = None,
+        right: str | Path | None = None,
     ) -> np.ndarray:
         """Read a photograph with the given levels, else this camera's where the file can hold its counts.
 
@@ -237,6 +243,8 @@ class CodedApertureCamera:
         path : str or Path
         black_level, white_level : float, optional
             Counts of the file for no light, and for the most that it can tell.
+        right : str or Path, optional
+            Of a dual-pixel camera, where the files of the halves are not called NAME_left and NAME_right.
 
         Returns
         -------
@@ -247,18 +255,26 @@ class CodedApertureCamera:
         InputError
             As `chromaperture.read_image`.
         """
-        return self.photograph(path, black_level=black_level, white_level=white_level).image
+        return self.photograph(path, right=right, black_level=black_level, white_level=white_level).image
 
-    def photograph(self, path: str | Path, **levels: float | None) -> Photograph:
+    def photograph(self, path: str | Path, *, right: str | Path | None = None, **levels: float | None) -> Photograph:
         """Read a photograph as `read` does, and say what its file is."""
         check_camera_memory(Path(path).name, self.calibration, self.config)
         known = self.calibration if self.calibration.is_calibrated else None
         size_px = self._frame_px if self.config.crop_origin_px is None else None
         encoding, stated = self.calibration.sensor.encoding, self.calibration.sensor.encoding.stated
+        if right is not None and stated.dual_pixel is None:
+            raise InputError(
+                "this camera has film: a left and a right picture are of a dual-pixel camera; give one picture"
+            )
         found = read_light(
             path, size_px=size_px, any_scale=known is not None, camera_encoding=None if known is None else encoding,
-            stated=stated, **levels,
+            stated=stated, right=right, **levels,
         )  # fmt: skip
+        if known is not None and stated.dual_pixel is None:
+            refuse_half(
+                Path(path), found.image, lambda other: read_light(other, camera_encoding=encoding, stated=stated).image
+            )
         if known is not None and found.form is not None:
             check_form(found.form, Path(path).name, known.provenance, encoding, is_cropped=size_px is None)
         return found

@@ -10,6 +10,7 @@ import numpy as np
 
 from chromaperture.color.image import without_defects
 from chromaperture.color.noise import noise_ratio, photon_noise_variance
+from chromaperture.color.shared_noise import shared_noise_ratio
 from chromaperture.matching.estimate import method_for
 from chromaperture.matching.execution import execution_named
 from chromaperture.matching.labels import LabelMap, label_map
@@ -42,6 +43,8 @@ def default_config(
         matcher = AccurateConfig.for_range(*calibration.disparity_range_px(quality))
     if calibration.is_calibrated:
         matcher = matcher.with_range(*calibration.disparity_range_px(quality))
+    if isinstance(matcher, AccurateConfig) and matcher.uses_blur and calibration.sensor.dual_pixel is not None:
+        matcher = matcher.with_half_pixels()
     return Config(quality=quality, matcher=matcher, scale=scale)
 
 
@@ -76,14 +79,19 @@ def noise_model(calibration: Calibration) -> NoiseModel:
     return NoiseModel(variance, is_known=True)
 
 
-def noise_of_photographs(calibration: Calibration) -> NoiseModel:
-    """Return `noise_model` times each photograph's `noise_ratio`: it may be at another ISO than the calibration."""
+def noise_of_photographs(calibration: Calibration, *, halves: bool = False) -> NoiseModel:
+    """Return `noise_model` times each photograph's `noise_ratio`: it may be at another ISO than the calibration.
+
+    ``halves``: the likelihood is that of half pixels, see `shared_noise_ratio`.
+    """
     noise = noise_model(calibration)
     if not noise.is_known:
         return noise
 
     def variance(image: np.ndarray) -> np.ndarray:
         expected = noise.variance(image)
+        if halves:
+            expected = expected * np.float32(shared_noise_ratio(image, expected))
         return np.asarray(expected * np.float32(noise_ratio(image, expected)))
 
     return NoiseModel(variance, is_known=True)
@@ -108,6 +116,7 @@ def scaled_method(
 ) -> Method:
     """Compose a configuration's method for photographs of full size; above scale 1 it is the reduced camera's."""
     working = at_scale(calibration, config.scale)
+    halves = isinstance(config.matcher, AccurateConfig) and config.matcher.spectral.dual_pixel
     method: Method = method_for(
         config.matcher,
         aperture=working.aperture,
@@ -115,7 +124,7 @@ def scaled_method(
         label_maps=label_maps(working, config.matcher),
         blur=working.field_blur(),
         channel_moves_px=working.channel_moves_px,
-        noise=noise_of_photographs(working),
+        noise=noise_of_photographs(working, halves=halves),
         execution=execution,
     )
     if config.scale > 1:

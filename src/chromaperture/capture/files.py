@@ -8,24 +8,28 @@ the size of their chroma (`native_planes`); tagged colours are brought to linear
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple, Unpack
 
 import numpy as np
 
+from chromaperture.capture.bayer import superpixels
 from chromaperture.capture.checks import check_primaries
 from chromaperture.capture.coded_pictures import counts_of_data, format_of_data, samples_of_data
-from chromaperture.capture.picture_format import PictureFormat
+from chromaperture.capture.dual_pixel import files_of, green_of, joined, two_samples
+from chromaperture.capture.picture_format import PictureFormat, mosaic_format
 from chromaperture.capture.picture_header import check_size, same_frame
 from chromaperture.capture.raw import holds_raw, raw_format, read_raw
 from chromaperture.capture.shots import is_raw
+from chromaperture.capture.tiff import decode_tiff, tiff_format
 from chromaperture.color.encoding import (
     CENTRED,
     NOTHING_STATED,
     Encoding,
+    Halves,
     Levels,
     Pattern,
     Siting,
@@ -48,6 +52,7 @@ class Decoded:
     own: Encoding | None = None
     form: PictureFormat | None = None
     name: str = "the picture"
+    is_pair: bool = False  # red and blue are the halves of a dual-pixel sensor; green is their mean once they are light
 
     @property
     def sensor_levels(self) -> tuple[float, float] | None:
@@ -70,10 +75,11 @@ def read_light(
     size_px: tuple[int, int] | None = None,
     any_scale: bool = False,
     stated: StatedFacts = NOTHING_STATED,
+    right: str | Path | None = None,
     **levels: Unpack[Levels],
 ) -> Photograph:
     """`decode`, then `linearise`; parameters, errors and warnings are theirs."""
-    decoded = decode(path, size_px=size_px, any_scale=any_scale, stated=stated)
+    decoded = decode(path, size_px=size_px, any_scale=any_scale, stated=stated, right=right)
     return Photograph(linearise(decoded, **levels), decoded.form)
 
 
@@ -86,6 +92,7 @@ def read_image(
     siting: Siting | None = None,
     primaries: Literal["srgb"] | None = None,
     mosaic: Pattern | None = None,
+    right: str | Path | None = None,
 ) -> np.ndarray:
     """Read a photograph as linear light: `decode`, then `linearise`.
 
@@ -110,6 +117,9 @@ def read_image(
         In place of those that the file is tagged with.
     mosaic : {"RGGB", "BGGR", "GRBG", "GBRG"}, optional
         Grey files are such a mosaic of a Bayer sensor and read like RAW; levels are those of the mosaic.
+    right : str or Path, optional
+        The right picture of a dual-pixel sensor, of which ``path`` is the left one. Of colour files the green counts.
+        Red of what is returned is the right, blue the left, green their mean.
 
     Returns
     -------
@@ -126,7 +136,8 @@ def read_image(
     CaptureWarning
         The levels look wrong.
     """
-    decoded = decode(path, size_px=size_px, stated=StatedFacts(siting, primaries, mosaic))
+    halves: Halves | None = None if right is None else "left-right"
+    decoded = decode(path, size_px=size_px, stated=StatedFacts(siting, primaries, mosaic, halves), right=right)
     return linearise(decoded, black_level=black_level, white_level=white_level)
 
 
@@ -134,6 +145,8 @@ def linearise(decoded: Decoded, **levels: Unpack[Levels]) -> np.ndarray:
     """Convert the content of a file to linear light; see `read_image` and, for the levels, `choose_encoding`."""
     encoding = choose_encoding(decoded.own, decoded.array, **levels)
     image = develop_counts(decoded.array, encoding)
+    if decoded.is_pair:
+        return joined(image, decoded.name)
     if decoded.form is not None and encoding.to_srgb is not None:
         check_primaries(image, decoded.form.space.name, decoded.name)
     return image
@@ -170,6 +183,15 @@ def is_encoded(path: Path) -> bool:
 def format_of(path: str | Path, stated: StatedFacts = NOTHING_STATED) -> PictureFormat:
     """Return what a photograph's file is by its header; raises InputError like `read_image`."""
     path = Path(path)
+    if stated.dual_pixel is not None:
+        files = files_of(path)
+        forms = [_format_of(file, stated) for file in files] if len(files) == 2 else [_format_of_both(path, stated)]
+        _check_alike(forms, files[-1].name)
+        return forms[0]
+    return _format_of(path, stated)
+
+
+def _format_of(path: Path, stated: StatedFacts) -> PictureFormat:
     if opens_as_raw(path):
         return raw_format(path)
     data = _read(path)
@@ -185,15 +207,49 @@ def decode(
     size_px: tuple[int, int] | None = None,
     any_scale: bool = False,
     stated: StatedFacts = NOTHING_STATED,
+    right: str | Path | None = None,
 ) -> Decoded:
-    """Read a photograph's file once; with ``any_scale`` also of other sizes of the aspect of ``size_px``."""
-    path = Path(path)
+    """Read a photograph's file once; with ``any_scale`` also of other sizes of the aspect of ``size_px``.
+
+    ``right``: the file of the right half, where those of a dual-pixel photograph are not called alike.
+    """
+    path, options = Path(path), {"size_px": size_px, "any_scale": any_scale, "stated": stated}
+    if stated.dual_pixel is None:
+        return _decoded(path, _checked, **options)  # type: ignore[arg-type]
+    files = files_of(path, None if right is None else Path(right))
+    if len(files) == 2:
+        left, other = (_decoded(file, lambda counts, _: counts, **options) for file in files)  # type: ignore[arg-type]
+        if left.array.shape[2:] != other.array.shape[2:]:
+            raise InputError(f"one of {path.name} and {files[1].name} is grey and the other in colours; give the same")
+        left, other = (replace(half, array=green_of(half.array, path)) for half in (left, other))
+    else:
+        left, other = _both_of(path, stated)
+        height, width = left.array.shape
+        is_scaled = any_scale and size_px is not None and same_frame(size_px, (width, height))
+        check_size(width, height, path.name, None if is_scaled else size_px)
+    _check_alike([left.form, other.form], files[-1].name)
+    if left.own != other.own:
+        raise InputError(f"{files[-1].name} is not encoded as {path.name} is; give the two halves of one exposure")
+    sides = (left.array, other.array) if stated.dual_pixel == "right-left" else (other.array, left.array)
+    own = None if left.own is None else replace(left.own, channel_offsets_px=CENTRED, to_srgb=None)
+    return Decoded(np.dstack([sides[0], *sides]), own, left.form, path.name, is_pair=True)
+
+
+def _decoded(
+    path: Path,
+    check: Callable[[np.ndarray, Path], np.ndarray],
+    *,
+    size_px: tuple[int, int] | None,
+    any_scale: bool,
+    stated: StatedFacts,
+) -> Decoded:
+    """Read one file; ``check`` gets the counts of files that are not RAW, and returns those to be kept."""
     if opens_as_raw(path):
         form = raw_format(path)
         if any_scale and size_px is not None and same_frame(size_px, form.read_size_px):
             size_px = form.read_size_px
         counts, own = read_raw(path, size_px=size_px)
-        return Decoded(counts, own, form)
+        return Decoded(counts, own, form) if stated.dual_pixel is None else _green_half(counts, own, form)
     data = _read(path)
     with _reported(path):
         form = format_of_data(data, path.name, stated.mosaic).with_stated(stated)
@@ -203,7 +259,66 @@ def decode(
         counts, own = counts_of_data(data, form, path.name)
         if counts.shape[1::-1] != form.read_size_px:
             raise ValueError("another size than its header says")
-    return Decoded(_checked(counts, path), own, form, path.name)
+    if form.mosaic is not None and stated.dual_pixel is not None:
+        return _green_half(counts, own, form)
+    return Decoded(check(counts, path), own, form, path.name)
+
+
+def _green_half(counts: np.ndarray, own: Encoding, form: PictureFormat) -> Decoded:
+    """Return the green of superpixels, at the mosaic's own counts: it lies in the middle of a cell, as red does not."""
+    own = replace(own, black_level=own.black_level / 2, white_level=own.white_level / 2, channel_offsets_px=CENTRED)
+    return Decoded(counts[..., 1] / np.float32(2), own, form)
+
+
+def _format_of_both(path: Path, stated: StatedFacts) -> PictureFormat:
+    """Return what a file of both halves is; raises InputError for other files."""
+    samples = two_samples(path)
+    if samples is None and opens_as_raw(path):
+        return raw_format(path)
+    if samples is None:
+        format_of(path)  # says what is wrong with it
+        raise InputError(
+            f"{path.name} is one picture, but this camera is a dual-pixel one: give pairs called NAME_left and "
+            "NAME_right, or --left and --right, or a RAW file of both"
+        )
+    with _reported(path):
+        form = tiff_format(_read(path), path.name, None)
+    if samples[0]:
+        return mosaic_format("DNG", form.size_px, form.bits, samples[0], known_from="tag")
+    return form.with_stated(stated)
+
+
+def _both_of(path: Path, stated: StatedFacts) -> tuple[Decoded, Decoded]:
+    """Return the halves of one file: the two samples of a pixel, or of a RAW file one half and the sum of both."""
+    form, samples = _format_of_both(path, stated), two_samples(path)
+    if samples is None:
+        (both, own), (one, own_one) = (read_raw(path, shot=shot) for shot in (0, 1))
+        if both.shape != one.shape or np.array_equal(both, one):
+            raise InputError(f"{path.name} holds one picture, not two shots of a dual-pixel sensor")
+        other = both.astype(np.float32) - one - np.float32(own.black_level - 2 * own_one.black_level)
+        return _green_half(one, own_one, form), _green_half(other, own_one, form)
+    with _reported(path):
+        data = _read(path)
+        check_size(*form.size_px, path.name, None, file_bytes=len(data))
+        counts = decode_tiff(data, path.name)
+    mosaic, black, white = samples
+    if mosaic:
+        made = (superpixels(counts[..., i], mosaic, black_level=black, white_level=white) for i in (0, 1))
+        left, right = (_green_half(cells, replace(own, given=False), form) for cells, own in made)
+        return left, right
+    own = form.encoding(white)
+    return Decoded(green_of(counts[..., 0], path), own, form), Decoded(green_of(counts[..., 1], path), own, form)
+
+
+def _check_alike(forms: Sequence[PictureFormat | None], name: str) -> None:
+    """Raise InputError where the halves of a photograph are of different sizes or kinds."""
+    known = [(f.kind, f.bits, *f.size_px) for f in forms if f is not None]
+    if len(set(known)) > 1:
+        (_, _, *size), (kind, bits, *other) = known
+        raise InputError(
+            f"{name} is {kind} of {bits} bits and {other[0]}x{other[1]} px, unlike the left half, of "
+            f"{size[0]}x{size[1]} px; give the two halves of one exposure"
+        )
 
 
 def read_samples(path: str | Path) -> np.ndarray:

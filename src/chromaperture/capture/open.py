@@ -79,6 +79,11 @@ def open_source(
     InputError
         Unknown kind or setting, or a value that is not a number.
     """
+    if camera_encoding is not None and camera_encoding.stated.dual_pixel is not None:
+        raise InputError(
+            "a stream has one picture a frame, and this is a dual-pixel camera, which takes two: measure its files "
+            "with chromaperture depth"
+        )
     source = _made(spec, listener, camera_encoding, {n: value for n, value in settings.items() if value is not None})
     source.camera_size_px = camera_size_px
     return source

@@ -48,9 +48,9 @@ def raw_format(path: Path) -> PictureFormat:
         return mosaic_format("RAW", size, bits, "Bayer", known_from="tag", turn_degrees=turn)
 
 
-def read_raw(path: Path, *, size_px: tuple[int, int] | None = None) -> tuple[np.ndarray, Encoding]:
+def read_raw(path: Path, *, size_px: tuple[int, int] | None = None, shot: int = 0) -> tuple[np.ndarray, Encoding]:
     """Read the mosaic and make one pixel of every 2 x 2 cell; counts and levels are twice the file's."""
-    with _opened(path) as raw:
+    with _opened(path, shot) as raw:
         check_size(raw.sizes.width // 2, raw.sizes.height // 2, path.name, size_px)
         layout = None if raw.raw_pattern is None else np.asarray(raw.raw_pattern)
         if layout is None or layout.shape != (2, 2) or raw.raw_image_visible.ndim != 2:
@@ -89,7 +89,7 @@ def _with_one_black(mosaic: np.ndarray, black: np.ndarray) -> np.ndarray:
 
 
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _opened(path: Path, shot: int = 0) -> Iterator[Any]:
     """Open a file with LibRaw; what it raises becomes InputError."""
     if not os.path.isfile(path):
         raise InputError(f"cannot read {quoted(path)}: no such file")
@@ -97,10 +97,12 @@ def _opened(path: Path) -> Iterator[Any]:
     rawpy = needed("rawpy", hint)
     try:
         check_kind(path)
-        with rawpy.imread(str(path)) as raw:
+        with rawpy.imread(str(path), shot_select=shot) as raw:
             check_complete(path)
             yield raw
     except rawpy.LibRawError as error:
+        if shot:
+            raise InputError(f"{path.name} holds one picture, not the two shots of a dual-pixel sensor") from None
         what = error.args[0].decode() if error.args and isinstance(error.args[0], bytes) else str(error)
         raise InputError(f"{path.name} is damaged or not a RAW file ({what}); copy the file again") from None
 

@@ -13,9 +13,11 @@ import typer
 from chromaperture.cli.console import after_compilation, print_files, print_json, progress, say_warning, table
 from chromaperture.cli.console import out as console
 from chromaperture.cli.options import Json, Quiet, check_output
+from chromaperture.system.errors import InputError
 
 if TYPE_CHECKING:
     from chromaperture.calibration.calibrate_session import CalibrationResult
+    from chromaperture.calibration.session import Session
 
 
 def calibrate(
@@ -53,12 +55,19 @@ def calibrate(
     """
     from chromaperture.calibration.calibrate_session import calibrate_session
     from chromaperture.calibration.options import CalibrationConfig
+    from chromaperture.calibration.session import read_session
     from chromaperture.evaluation.verdict import unusable, with_accurate_noise
     from chromaperture.model.camera_file import Calibration
     from chromaperture.system.storage import staged
 
-    page = report or out.with_suffix(".report.html")
     check_output(out, ".asdf", inputs=[lens_from])
+    known_session = read_session(session)
+    if not known_session.square_mm:
+        if lens_from or report or no_blur or per_pixel:
+            raise InputError("flat boards take no --lens-from, --report, --no-blur or --per-pixel: leave these out")
+        _calibrate_flat(known_session, out, json=json, quiet=quiet)
+        return
+    page = report or out.with_suffix(".report.html")
     if not no_report:
         check_output(page, ".html", inputs=[out], option="--report")
     for path in [out] if no_report else [out, page]:
@@ -95,6 +104,26 @@ def calibrate(
         if json or quiet:
             say_warning(f"this calibration cannot be used: {'; '.join(faults)}")
         raise typer.Exit(1)
+
+
+def _calibrate_flat(session: Session, out: Path, *, json: bool, quiet: bool) -> None:
+    """Calibrate a dual-pixel camera by flat boards."""
+    from chromaperture.calibration.flat_boards import calibrate_flat_boards
+
+    with progress(quiet=quiet) as update:
+        result = calibrate_flat_boards(
+            session,
+            command=shlex.join(["chromaperture", *sys.argv[1:]]),
+            progress=after_compilation(update, "paper", "real-time", "accurate", quiet=quiet),
+        )
+    result.camera.save(out)
+    if json:
+        print_json(result.camera.summary())
+    elif not quiet:
+        console.print(result.camera.title + f", in focus at {result.camera.in_focus_text}", markup=False)
+        for note in result.notes:
+            console.print(f"note: {note}", markup=False)
+        print_files([out])
 
 
 def _print_result(result: CalibrationResult, faults: list[str]) -> None:

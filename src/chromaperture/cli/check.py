@@ -16,11 +16,14 @@ from chromaperture.cli.options import (
     Camera,
     ChromaSiting,
     Json,
+    Left,
     Mosaic,
     Primaries,
     Quiet,
+    Right,
     WhiteLevel,
     inner_corners,
+    left_of_pair,
 )
 from chromaperture.system.errors import CaptureWarning, InputError
 
@@ -31,11 +34,11 @@ _STYLES = {"ok": "green", "warn": "bold red", "cannot tell": "dim"}
 
 
 def check(
-    photo: Annotated[
-        Path,
-        typer.Argument(help="Photograph, best of the chessboard; with --coloured of a neutral print.", metavar="PHOTO"),
-    ],
     camera: Camera,
+    photo: Annotated[
+        Path | None,
+        typer.Argument(help="Photograph, best of the chessboard; with --coloured of a neutral print.", metavar="PHOTO"),
+    ] = None,
     coloured: Annotated[
         Path | None,
         typer.Option(
@@ -52,6 +55,8 @@ def check(
     mosaic: Mosaic = None,
     siting: ChromaSiting = None,
     primaries: Primaries = None,
+    left: Left = None,
+    right: Right = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -71,7 +76,13 @@ def check(
     from chromaperture.model.camera_file import Calibration
     from chromaperture.model.camera_parts import Board
 
+    if left or right:
+        photo = left_of_pair(left, right, [photo])
+    if photo is None:
+        raise InputError("give a photograph, or --left and --right of a dual-pixel camera")
     calibration = with_stated(Calibration.load(camera), stated_facts(siting, primaries, mosaic))
+    if coloured is not None and calibration.sensor.dual_pixel is not None:
+        raise InputError("--coloured is for film: the halves of a dual-pixel sensor have one colour")
     if coloured is not None:
         from chromaperture.evaluation.chroma_siting import check_siting
 
@@ -90,7 +101,7 @@ def check(
     target = None if side_mm is None else Board(size, side_mm)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", CaptureWarning)
-        taken = eye.photograph(photo, black_level=black_level, white_level=white_level)
+        taken = eye.photograph(photo, right=right, black_level=black_level, white_level=white_level)
     height, width = taken.image.shape[:2]
     if eye.shows_frame_at((width, height)):
         eye = eye.at_size(width, height)

@@ -35,15 +35,18 @@ from chromaperture.cli.options import (
     Design,
     Device,
     Json,
+    Left,
     MaxRelativeSigma,
     Mosaic,
     PhotographQuality,
     Primaries,
     Quiet,
+    Right,
     Scale,
     Verbose,
     WhiteLevel,
     check_film,
+    left_of_pair,
     working_scale,
 )
 from chromaperture.cli.options import crop_origin as crop_from
@@ -52,6 +55,7 @@ from chromaperture.system.errors import CaptureWarning, ChromapertureError, Inpu
 
 if TYPE_CHECKING:
     from chromaperture.camera.camera import CodedApertureCamera
+    from chromaperture.color.encoding import Halves
     from chromaperture.products.archive import Outcome, Recipe
     from chromaperture.products.measure_file import Written
 
@@ -83,6 +87,8 @@ def depth(
     mosaic: Mosaic = None,
     siting: ChromaSiting = None,
     primaries: Primaries = None,
+    left: Left = None,
+    right: Right = None,
     max_relative_sigma: MaxRelativeSigma = MAX_RELATIVE_SIGMA,
     write: Annotated[
         str | None,
@@ -121,8 +127,12 @@ def depth(
 
     chromaperture depth holiday/ --camera camera.asdf --out results --jobs 2      (goes on where it was stopped)
 
+    chromaperture depth --left a.png --right b.png --camera dual_pixel.asdf       (pairs called NAME_left and NAME_right
+    are found by name)
+
     chromaperture depth archive/ --camera camera.asdf --cluster tcp://10.0.0.1:8786 --out s3://bucket/depth
     """
+    from chromaperture.capture.dual_pixel import half_of, pairs
     from chromaperture.capture.files import format_of
     from chromaperture.capture.shots import VIDEOS
     from chromaperture.color.encoding import StatedFacts
@@ -132,7 +142,13 @@ def depth(
     if cluster is None and any(is_url(name) for name in (*(images or ()), *listed, out or "")):
         raise InputError("URLs are read and written by the workers of a cluster: give its scheduler with --cluster")
     left_out: dict[Path, str] = {}
+    if left or right:
+        images = [*(images or ()), str(left_of_pair(left, right, (*(images or ()), *listed)))]
     names = find_photographs(images or (), kind=partial(kind_of_files, camera), left_out=left_out) + listed
+    are_halves = any(half_of(Path(name)) for name in names)
+    halves = halves_of(camera) if are_halves and camera is not None else None
+    if halves is not None and right is None:
+        names = pairs(names, left_out)
     if not names:
         raise InputError("give photographs, folders of them, or a list of them with --files-from")
     clip = next((name for name in names if Path(name).suffix.lower() in VIDEOS), None)
@@ -146,7 +162,7 @@ def depth(
     from chromaperture.frame.frame_files import chosen_outputs
     from chromaperture.products.archive import recipe_for
 
-    refuse_common_results(names, out)
+    refuse_common_results(names, out, halves)
     if out is not None and not is_url(out) and Path(out).exists() and not Path(out).is_dir():
         raise InputError(f"cannot write to {out}, which is a file; choose another folder with --out")
     chosen_outputs(write, is_calibrated=camera is not None)  # before the work
@@ -157,7 +173,7 @@ def depth(
         "device": device, "stated": stated,
     }  # fmt: skip
     options: dict[str, Any] = {
-        "write": write, "black_level": black_level, "white_level": white_level,
+        "write": write, "black_level": black_level, "white_level": white_level, "right": right,
         "max_relative_sigma": max_relative_sigma, "inspect": partial(check_film, refuse=not anyway),
     }  # fmt: skip
     if cluster is not None:
@@ -190,6 +206,13 @@ def depth(
     )  # fmt: skip
 
 
+def halves_of(camera: Path) -> Halves | None:
+    """Return how the photographs of a dual-pixel camera are paired; None of one with film."""
+    from chromaperture.model.camera_file import Calibration
+
+    return Calibration.load(camera).sensor.dual_pixel
+
+
 def kind_of_files(camera: Path | None) -> str:
     """Return the suffix of the photographs that a camera was calibrated on; empty where it does not tell."""
     from chromaperture.capture.shots import is_photograph
@@ -215,14 +238,15 @@ def jobs_in_memory(camera: CodedApertureCamera, jobs: int) -> int:
     return fitting
 
 
-def refuse_common_results(names: Sequence[str], out: str | None) -> None:
+def refuse_common_results(names: Sequence[str], out: str | None, halves: Halves | None = None) -> None:
     """Refuse photographs whose results would have the same names; raises InputError."""
+    from chromaperture.capture.dual_pixel import shot_stem
     from chromaperture.frame.frame_files import OUTPUTS
-    from chromaperture.products.archive_store import absolute, folder_of, joined, stem_of
+    from chromaperture.products.archive_store import absolute, as_path, folder_of, joined
 
     first: dict[str, str] = {}  # photograph by the path that its results begin with
     for name in names:
-        begin = absolute(joined(folder_of(name) if out is None else out, stem_of(name)))
+        begin = absolute(joined(folder_of(name) if out is None else out, shot_stem(as_path(name), halves)))
         if begin in first:
             raise InputError(
                 f"{first[begin]} and {name} would write the same files; measure only one of them, or into different "
@@ -435,8 +459,9 @@ def _read(image: str, recipe: Recipe) -> Written:
 
     path = Path(image)
     folder = path.parent if recipe.out is None else Path(recipe.out)
-    files = [folder / (path.stem + OUTPUTS[name].suffix) for name in recipe.outputs]
-    return Written(json_text.loads((folder / (path.stem + OUTPUTS["json"].suffix)).read_bytes()), files)
+    stem = recipe.stem(path)
+    files = [folder / (stem + OUTPUTS[name].suffix) for name in recipe.outputs]
+    return Written(json_text.loads((folder / (stem + OUTPUTS["json"].suffix)).read_bytes()), files)
 
 
 def _print(batch: Batch, count: int, seconds: float, note: str, *, verbose: bool) -> None:

@@ -124,6 +124,10 @@ ChromaSiting = Annotated[
 Primaries = Annotated[
     str | None, typer.Option(help="srgb: the files' primaries, where their tag is wrong; default the tag's.")
 ]
+Left = Annotated[
+    Path | None, typer.Option(help="Of a dual-pixel camera: the left picture of one exposure.", metavar="PICTURE")
+]
+Right = Annotated[Path | None, typer.Option(help="The right one, where names do not pair them.", metavar="PICTURE")]
 MaxRelativeSigma = Annotated[
     float,
     typer.Option(
@@ -174,6 +178,13 @@ def working_scale(text: str) -> float | Literal["auto"]:
     return int(scale) if scale.is_integer() else scale
 
 
+def left_of_pair(left: Path | None, right: Path | None, others: Iterable[object] = ()) -> Path:
+    """Check that the halves of one photograph are given, and nothing else; returns the left one."""
+    if left is None or right is None or any(others):
+        raise InputError("give the left and the right picture of one exposure, --left A --right B, and no others")
+    return left
+
+
 def crop_origin(text: str | None) -> tuple[int, int] | None:
     """Read the column and row of a pixel, such as 1200,800; raises InputError."""
     if text is None:
@@ -221,7 +232,7 @@ def film_doubts(camera: CodedApertureCamera, image: np.ndarray, name: str, *, re
     from chromaperture.matching.working_scale import reduced
     from chromaperture.model.scale import at_scale
 
-    if not camera.shows_frame_at(image.shape[1::-1]):
+    if camera.calibration.sensor.dual_pixel is not None or not camera.shows_frame_at(image.shape[1::-1]):
         return ""  # without a film to compare with; the size is refused later
     camera = camera.at_size(*image.shape[1::-1])
     calibration = camera.calibration
@@ -231,7 +242,7 @@ def film_doubts(camera: CodedApertureCamera, image: np.ndarray, name: str, *, re
     match = film_match(image, working)
     if not match.doubts:
         return ""
-    title = calibration.aperture.title
+    title = calibration.pupil_title
     if match.is_wrong and refuse:
         raise InputError(
             f"{name} was not taken through this camera's film ({title}): {' and '.join(match.findings)}; give the "

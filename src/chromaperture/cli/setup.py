@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -56,8 +56,7 @@ def stated_facts(siting: str | None, primaries: str | None, mosaic: str | None) 
 def with_stated(calibration: Calibration, stated: StatedFacts) -> Calibration:
     """Return a camera of whose files these facts are stated, too."""
     known = stated.or_else(calibration.sensor.encoding.stated)
-    facts = {"siting": known.siting, "primaries": known.primaries, "mosaic": known.mosaic}
-    return replace(calibration, sensor=replace(calibration.sensor, **facts))  # type: ignore[arg-type]
+    return replace(calibration, sensor=replace(calibration.sensor, **asdict(known)))
 
 
 def open_stream(

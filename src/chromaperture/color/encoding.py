@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any, Literal, TypedDict, get_args
 
@@ -65,6 +65,7 @@ Siting = Literal["centre", "left", "top-left"]
 Pattern = Literal["RGGB", "BGGR", "GRBG", "GBRG"]
 SITINGS: tuple[Siting, ...] = get_args(Siting)
 PATTERNS: tuple[Pattern, ...] = get_args(Pattern)
+Halves = Literal["left-right", "right-left"]
 _LEVELS = 65536  # of a curve's table: steps of a 250th of a count of 8 bits
 _TWELVE_BITS = 4096  # a 16-bit file with no count above is likely that of a sensor of 12 bits or fewer
 CENTRED: Offsets = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
@@ -78,16 +79,20 @@ class StatedFacts:
     siting: Siting | None = None
     primaries: Literal["srgb"] | None = None  # {"srgb"}: of files whose tag is wrong
     mosaic: Pattern | None = None  # {"RGGB", "BGGR", "GRBG", "GBRG"}: grey files are such a mosaic of a Bayer sensor
+    # {"left-right", "right-left"}: a photograph is two files, of the halves of a dual-pixel sensor's pixels, see
+    # ``capture/dual_pixel.py``; "right-left": the one called left sees the right of the pupil.
+    dual_pixel: Halves | None = None
 
     def __post_init__(self) -> None:
-        for name, known in {"siting": SITINGS, "primaries": ("srgb",), "mosaic": PATTERNS}.items():
+        choices = {"siting": SITINGS, "primaries": ("srgb",), "mosaic": PATTERNS, "dual_pixel": get_args(Halves)}
+        for name, known in choices.items():
             value = getattr(self, name)
             if value is not None and value not in known:
                 raise InputError(f"unknown {name} {value!r}: choose {', '.join(known)}")
 
     def or_else(self, other: StatedFacts) -> StatedFacts:
         """Return the same, and of what is not stated what the other states."""
-        return StatedFacts(self.siting or other.siting, self.primaries or other.primaries, self.mosaic or other.mosaic)
+        return StatedFacts(*(getattr(self, f.name) or getattr(other, f.name) for f in fields(self)))
 
 
 NOTHING_STATED = StatedFacts()

@@ -53,8 +53,10 @@ def check_camera(
     if checks[0].verdict == "warn":
         reason = "the photograph is not of the calibrated size"
         return checks + [Check(name, "cannot tell", reason) for name in (_FILM, _TINT, _LIGHT, _DISTANCE, _ORIENTATION)]
-    film = _film(film_match(image, calibration), calibration)
     seen = _against_board(image, calibration, board or calibration.board)
+    if calibration.sensor.dual_pixel is not None:  # without film
+        return checks + seen
+    film = _film(film_match(image, calibration), calibration)
     judged = [film, *seen]
     # Values that are no light change colours and disparity, and another film disparity: what follows cannot be judged.
     cause = next((c for name in (_LIGHT, _FILM) for c in judged if c.name == name and c.verdict == "warn"), None)
@@ -180,7 +182,12 @@ def _against_board(image: np.ndarray, calibration: Calibration, board: Board | N
         advice = "add texture around the board (chromaperture board prints some) or come nearer to focus"
         return unknown("no disparity on the board", advice)
     light = _light(image, corners, board, found)
-    return [light, _board_distance(found, calibration, board), _orientation(found)]
+    turned = (
+        "the filter is turned by 180 degrees or its colours are swapped: turn it, arrow up"
+        if calibration.sensor.dual_pixel is None
+        else "the left and the right picture are exchanged: give the other as --left"
+    )
+    return [light, _board_distance(found, calibration, board), _orientation(found, turned)]
 
 
 def _light(image: np.ndarray, corners_px: np.ndarray, board: Board, found: _BoardReading) -> Check:
@@ -329,12 +336,11 @@ def _squares(square_mm: float, board: Board, calibrated: Board | None, tolerance
     return f"{otherwise}; if the squares have another size, it is {square_mm:.1f} mm: measure one, give --square-mm"
 
 
-def _orientation(found: _BoardReading) -> Check:
+def _orientation(found: _BoardReading, turned: str) -> Check:
     figures = {"measured_disparity_px": found.measured_px, "expected_disparity_px": found.expected_px}
     if found.is_turned:
         finding = f"disparity {found.measured_px:+.2f} px, expected {found.expected_px:+.2f}: the sign is wrong"
-        advice = "the filter is turned by 180 degrees or its colours are swapped: turn it, arrow up"
-        return Check(_ORIENTATION, "warn", finding, advice, figures)
+        return Check(_ORIENTATION, "warn", finding, turned, figures)
     if abs(found.expected_px) <= _FAR_FROM_FOCUS_PX:
         finding = f"the board is too near to the focus ({found.expected_px:+.2f} px) to tell"
         return Check(_ORIENTATION, "cannot tell", finding, "photograph it clearly nearer or farther", figures)

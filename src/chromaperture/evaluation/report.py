@@ -33,7 +33,7 @@ def report_html(result: CalibrationResult, *, title: str) -> str:
     """Render the report as one HTML page that contains its figures."""
     calibration = result.calibration
     subtitle = (
-        f"{calibration.aperture.title}, {calibration.lens.focal_length_mm:.1f} mm lens, "
+        f"{calibration.pupil_title}, {calibration.lens.focal_length_mm:.1f} mm lens, "
         f"{calibration.sensor.width_px}x{calibration.sensor.height_px} px, {len(result.boards)} boards"
     )
     return page_template("report.html").render(

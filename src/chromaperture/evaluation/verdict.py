@@ -324,8 +324,10 @@ def is_of_another_design(result: CalibrationResult) -> bool:
 
 
 def baseline_ratio(result: CalibrationResult) -> float:
-    """Return the baseline over that of design, focal length and f-number."""
+    """Return the baseline over that of design, focal length and f-number; 1 of half pixels, whose ramps none states."""
     camera = result.calibration
+    if camera.sensor.dual_pixel is not None:
+        return 1.0
     expected_mm = view_reach(camera.aperture) * camera.lens.focal_length_mm / result.session.nominal_f_number
     return camera.baseline_mm / expected_mm
 

@@ -44,7 +44,7 @@ def camera_html(calibration: Calibration, quality: Quality) -> str:
     """Return the film in the pupil and a table of what the camera is, with a quality's depth curve, as HTML."""
     lens, sensor = calibration.lens, calibration.sensor
     rows = [
-        ("film", calibration.aperture.title),
+        ("film", calibration.pupil_title),
         ("photographs", f"{sensor.width_px} x {sensor.height_px} px"),
         ("quality", quality),
     ]
@@ -67,7 +67,7 @@ def camera_html(calibration: Calibration, quality: Quality) -> str:
             ),
         ]
     cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(value)}</td></tr>" for name, value in rows)
-    picture = _image(_pupil(calibration), f"the pupil: {escape(calibration.aperture.title)}")
+    picture = _image(_pupil(calibration), f"the pupil: {escape(calibration.pupil_title)}")
     return f'<div style="display: flex; gap: 1em; align-items: center">{picture}<table>{cells}</table></div>'
 
 

@@ -148,7 +148,7 @@ def write_preview(
     left, right = _MARGIN, 2 * _MARGIN + _LARGEST[0]
     top, below = heading, heading + _HEADING + height + _MARGIN
     if image is not None:
-        _panel(page, (left, top), exposed(image, size), "capture through the colour-coded aperture")
+        _panel(page, (left, top), exposed(image, size), "capture")
     _panel(
         page, (left, below), exposed(frame.color if color is None else color, size), "restored colour, channels aligned"
     )

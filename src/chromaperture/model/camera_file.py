@@ -39,7 +39,7 @@ from chromaperture.system.validation import (
     quoted,
 )
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2  # of a dual-pixel camera, whose left picture version 1 would take for a photograph; others are 1
 # A focus from here on is called infinity: that far away the disparity of a 50 mm lens at f/2 is 0.04 px of 62 um less
 # than at infinity.
 INFINITY_MM = 1e5
@@ -124,8 +124,14 @@ class Calibration(CameraPart):
     @property
     def title(self) -> str:
         """Design, size of the picture and working range, in one line."""
-        size = f"{self.design}, {self.sensor.width_px}x{self.sensor.height_px} px"
+        design = self.design if self.sensor.dual_pixel is None else "dual pixel"
+        size = f"{design}, {self.sensor.width_px}x{self.sensor.height_px} px"
         return f"{size}, {self.near_mm:.0f} to {self.far_mm:.0f} mm" if self.is_calibrated else f"{size}, uncalibrated"
+
+    @property
+    def pupil_title(self) -> str:
+        """What divides the pupil."""
+        return self.aperture.title if self.sensor.dual_pixel is None else "halves of a dual-pixel sensor"
 
     def __repr__(self) -> str:
         curves = f", curves for {', '.join(self.depth)}" if self.depth else ""
@@ -219,7 +225,7 @@ class Calibration(CameraPart):
         on_axis = self.on_axis("real-time") if self.depth else None
         figures = {
             "design": self.design,
-            "title": self.aperture.title,
+            "title": self.pupil_title,
             "width_px": self.sensor.width_px,
             "height_px": self.sensor.height_px,
             "pixel_pitch_mm": self.sensor.pixel_pitch_mm,
@@ -285,7 +291,8 @@ class Calibration(CameraPart):
         values["working_range"] = {name: values.pop(name) for name in ("near_mm", "far_mm")}
         values["depth"] = {quality: field_to_tree(field) for quality, field in self.depth.items()}
         values["film"]["unit"] = "white light as R, G, B, 1 = white level"
-        tree = {_ROOT: {"about": _ABOUT, "format_version": FORMAT_VERSION, **values}}
+        version = 1 if self.sensor.dual_pixel is None else FORMAT_VERSION
+        tree = {_ROOT: {"about": _ABOUT, "format_version": version, **values}}
         with staged(path.parent) as stage, asdf.AsdfFile(tree) as file:
             file.write_to(stage.path(path.name))
 

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, GetCoreSchemaHandler, GetPydanticSchema
 
 from chromaperture.color.color_space import TRANSFERS
-from chromaperture.color.encoding import Encoding, Pattern, ResponseCurve, Siting, StatedFacts
+from chromaperture.color.encoding import Encoding, Halves, Pattern, ResponseCurve, Siting, StatedFacts
 from chromaperture.system.validation import LARGEST_SIDE, Finite, Name, NotNegative, Positive
 
 
@@ -60,12 +60,13 @@ class CameraSensor(CameraPart):
     mosaic: Pattern | None = None  # what a person said of its files, see `StatedFacts`
     siting: Siting | None = None
     primaries: Literal["srgb"] | None = None
+    dual_pixel: Halves | None = None
 
     @property
     def encoding(self) -> Encoding:
         """How the photographs that the camera was calibrated on are decoded."""
         response = None if self.response is None else ResponseCurve(self.response)
-        stated = StatedFacts(self.siting, self.primaries, self.mosaic)
+        stated = StatedFacts(self.siting, self.primaries, self.mosaic, self.dual_pixel)
         levels = self.black_level, self.white_level
         return Encoding(*levels, self.curve, response=response, curve_parameters=self.curve_parameters, stated=stated)
 

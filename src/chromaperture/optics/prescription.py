@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 from collections.abc import Mapping
@@ -14,12 +15,13 @@ import numpy as np
 from pydantic import Field
 
 from chromaperture.system.errors import InputError
-from chromaperture.system.validation import Finite, Name, Number, Positive, Table, checked, quoted, read_toml
+from chromaperture.system.validation import Finite, Name, Number, Positive, Table, checked, quoted, read_text, read_toml
 
 _LINE_F, _LINE_D, _LINE_C = 0.4861, 0.5876, 0.6563  # um, Fraunhofer lines that define the Abbe number
 _WAVELENGTHS_UM = (0.605, 0.540, 0.465)  # R, G, B: about the peaks of a Bayer sensor; chosen by hand, not tuned
 # Of a lens file: zoom lenses have some 40 surfaces, aspheres of smartphones some 10 coefficients.
 _MOST_SURFACES, _MOST_COEFFICIENTS = 200, 32
+_MOST_JSON_BYTES = 1_000_000
 # Of what light passes: a micron, a kilometre, more than germanium (4). Beyond, paraxial matrices overflow.
 _SMALLEST_MM, _LARGEST_MM, _LARGEST_INDEX = 1e-3, 1e6, 10.0
 
@@ -88,8 +90,10 @@ def lens_names() -> list[str]:
 
 
 def load_lens(name_or_path: str | Path) -> Prescription:
-    """Load a lens of the package by its name, or a user's from a TOML file, see `lens_from_dict`."""
+    """Load a lens of the package by its name, or a user's from a TOML file, see `lens_from_dict`, or a JSON file."""
     name = str(name_or_path)
+    if name.endswith(".json"):
+        return _lens_of_json(Path(name))
     if not name.endswith(".toml"):
         if name not in lens_names():
             raise InputError(f"unknown lens {name!r}: choose one of {', '.join(lens_names())}, or give a .toml file")
@@ -152,6 +156,31 @@ def lens_from_dict(data: Mapping[str, Any], *, name: str) -> Prescription:
             wavelengths_um=table.wavelengths_um,
         )
     )
+
+
+def _lens_of_json(path: Path) -> Prescription:
+    """Read a lens of a raytracer's JSON: ``roc`` radius, ``r`` semi-diameter, ``d_next`` thickness, index/Abbe."""
+    try:
+        table = json.loads(read_text(path, most_bytes=_MOST_JSON_BYTES))
+        rows = [_surface(surface) for surface in table["surfaces"]]
+        gap = rows[-1].pop("thickness_mm")
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
+        raise InputError(f"{path.name} is no lens prescription ({type(error).__name__}: {error})") from None
+    return lens_from_dict({"sensor_gap_mm": gap, "surface": rows, "title": path.stem}, name=path.stem)
+
+
+def _surface(surface: Mapping[str, Any]) -> dict[str, Any]:
+    row: dict[str, Any] = {"thickness_mm": surface["d_next"], "clear_diameter_mm": 2 * surface["r"]}
+    if surface["mat2"] != "air":
+        row["index_d"], row["abbe"] = map(float, surface["mat2"].split("/"))
+    if surface["type"] == "Stop":
+        return row | {"stop": True}
+    row["radius_mm"] = surface["roc"]
+    if surface["type"] == "Aspheric":
+        if surface["ai"][0]:
+            raise ValueError("an asphere with a term of r^2")
+        row |= {"conic": surface["k"], "coefficients": surface["ai"][1:]}
+    return row
 
 
 def checked_lens(lens: Prescription) -> Prescription:

@@ -33,6 +33,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.capture.dual_pixel import files_of, partner, shot_stem
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
 from chromaperture.frame.frame_files import OUTPUTS, chosen_outputs
 from chromaperture.model.camera_file import Calibration
@@ -160,6 +161,18 @@ class Recipe:
     # See `Inspect`; of a module that the workers have too.
     inspect: Inspect = field(default=measure_everything, compare=False)
     again: bool = False  # measure what is complete, too
+    right: Path | None = None  # of the only photograph, see `measure_only`
+
+    def stem(self, image: Path) -> str:
+        """Return what the names of a photograph's results begin with."""
+        return shot_stem(image, self.calibration.sensor.dual_pixel)
+
+    def made_from_photograph(self, image: Path) -> dict[str, str]:
+        """Return the hashes of a photograph's files, and those of the recipe."""
+        is_pair = self.calibration.sensor.dual_pixel is not None
+        files = dict(zip(("image", "right"), files_of(image, self.right) if is_pair else [image], strict=False))
+        hashes = {f"{name}_sha256": store.content_hash(str(file)) for name, file in files.items()}
+        return {**hashes, **dict(self.made_from)}
 
 
 @dataclass(frozen=True)
@@ -185,6 +198,7 @@ def recipe_for(
     max_relative_sigma: float = MAX_RELATIVE_SIGMA,
     inspect: Inspect = measure_everything,
     again: bool = False,
+    right: Path | None = None,
 ) -> Recipe:
     """Put together what workers need; ``json`` is always among the outputs, because it marks what is complete."""
     chosen = chosen_outputs(write, is_calibrated=camera.calibration.is_calibrated)
@@ -204,7 +218,7 @@ def recipe_for(
     absolute_out = None if out is None else store.absolute(out)
     return Recipe(
         made_from, camera.calibration, camera.config, absolute_out, outputs, **levels,
-        max_relative_sigma=max_relative_sigma, inspect=inspect, again=again,
+        max_relative_sigma=max_relative_sigma, inspect=inspect, again=again, right=right,
     )  # fmt: skip
 
 
@@ -225,16 +239,19 @@ class RecipeOrigin:
 
     def made_from(self, image: Path) -> dict[str, str]:
         """Return the hash of the photograph, and those of the recipe."""
-        return {"image_sha256": store.content_hash(str(image)), **dict(self.recipe.made_from)}
+        return self.recipe.made_from_photograph(image)
 
     def is_complete(self, image: Path, made_from: dict[str, str]) -> bool:
         """Whether ``STEM.json`` names the same and all files are there; never with ``again``."""
-        return not self.recipe.again and _is_complete(self._folder(image), image.stem, self.recipe, made_from)
+        return not self.recipe.again and _is_complete(
+            self._folder(image), self.recipe.stem(image), self.recipe, made_from
+        )
 
     def begin(self, image: Path) -> None:
         """Remove ``STEM.json`` where it marks results as complete."""
-        if _mark(self._folder(image), image.stem) is not None:
-            store.remove(self._folder(image), image.stem + OUTPUTS["json"].suffix)
+        stem = self.recipe.stem(image)
+        if _mark(self._folder(image), stem) is not None:
+            store.remove(self._folder(image), stem + OUTPUTS["json"].suffix)
 
     def _folder(self, image: Path) -> str:
         return str(image.parent) if self.recipe.out is None else self.recipe.out
@@ -297,9 +314,11 @@ def _measure(image: str, recipe: Recipe, private: Path) -> bool:
     if store.is_url(image):
         path = private / image.rpartition("/")[2]
         store.fetch(image, path)
+        if recipe.stem(path) != path.stem:
+            store.fetch(store.joined(store.folder_of(image), partner(path).name), partner(path))
     folder = store.folder_of(image) if recipe.out is None else recipe.out
-    made_from = {"image_sha256": store.content_hash(str(path)), **dict(recipe.made_from)}
-    if not recipe.again and _is_complete(folder, path.stem, recipe, made_from):
+    made_from, stem = recipe.made_from_photograph(path), recipe.stem(path)
+    if not recipe.again and _is_complete(folder, stem, recipe, made_from):
         return True
     camera = _camera(recipe)
     results = private / "results" if store.is_url(folder) else store.as_path(folder)
@@ -308,7 +327,7 @@ def _measure(image: str, recipe: Recipe, private: Path) -> bool:
         white_level=recipe.white_level, max_relative_sigma=recipe.max_relative_sigma,
         inspect=lambda linear: recipe.inspect(camera, linear, path.name),
     )  # fmt: skip
-    store.remove(folder, path.stem + OUTPUTS["json"].suffix)  # first: never is it beside files of two measurements
+    store.remove(folder, stem + OUTPUTS["json"].suffix)  # first: never is it beside files of two measurements
     written = measured.write(made_from=made_from)
     if store.is_url(folder):
         store.upload(written.files, folder)

@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
@@ -40,11 +40,6 @@ def as_path(name: str) -> Path:
 def absolute(name: str) -> str:
     """Return a name that is the same for processes in other folders: an absolute path, or the URL."""
     return name if is_url(name) else str(as_path(name).absolute())
-
-
-def stem_of(name: str) -> str:
-    """Return the file name without its last suffix: results are called after it."""
-    return (PurePosixPath(name.rstrip("/")) if is_url(name) else as_path(name)).stem
 
 
 def folder_of(name: str) -> str:

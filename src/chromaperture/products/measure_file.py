@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from chromaperture.camera.camera import CodedApertureCamera
+from chromaperture.capture.dual_pixel import shot_stem
 from chromaperture.capture.exif import other_colours, read_model
 from chromaperture.capture.picture_format import PictureFormat, described
 from chromaperture.depth.error_limit import MAX_RELATIVE_SIGMA
@@ -78,12 +79,18 @@ class MeasuredFile:
         """By how much the photograph is to be turned, clockwise, to stand upright."""
         return 0 if self.form is None else self.form.turn_degrees
 
+    @property
+    def stem(self) -> str:
+        """What the names of its files begin with."""
+        camera = self.frame.calibration
+        return shot_stem(self.path, None if camera is None else camera.sensor.dual_pixel)
+
     def write(self, *, made_from: Mapping[str, str] | None = None) -> Written:
         """Write the files, whole or not at all, ``STEM.json`` last, by which a later run knows ``made_from``."""
-        clock, stem, frame = StageClock(), self.path.stem, self.frame
+        clock, stem, frame = StageClock(), self.stem, self.frame
         title = self.path.name
         if frame.calibration is not None:
-            title += f"   {frame.calibration.aperture.title}"
+            title += f"   {frame.calibration.pupil_title}"
         with within_memory(_size(self.path, frame.disparity_px)), staged(self.folder) as stage:
             with clock("write"):
                 frame_files.write_maps(
@@ -118,6 +125,7 @@ def measure_file(
     write: str | Iterable[str] | None = None,
     black_level: float | None = None,
     white_level: float | None = None,
+    right: Path | None = None,
     max_relative_sigma: float = MAX_RELATIVE_SIGMA,
     listener: Callable[[str], None] = lambda name: None,
     inspect: Callable[[np.ndarray], None] = lambda image: None,
@@ -136,6 +144,8 @@ def measure_file(
         Names of the files to write, see `OUTPUTS`; all that the camera can give when absent.
     black_level, white_level : float, optional
         Instead of the camera's.
+    right : Path, optional
+        The right picture of a dual-pixel camera, where its name does not tell it.
     max_relative_sigma : float
         Largest sigma / depth of the PNG and of the points, which carry no error bar; see `within_error`.
     listener : callable, optional
@@ -157,7 +167,7 @@ def measure_file(
         The image or the folder cannot be used, or an output is unknown.
     """
     measured = measure_only(
-        path, camera, out=out, write=write, black_level=black_level, white_level=white_level,
+        path, camera, out=out, write=write, black_level=black_level, white_level=white_level, right=right,
         max_relative_sigma=max_relative_sigma, listener=listener, inspect=inspect, caption=caption,
         depth_range_mm=depth_range_mm,
     )  # fmt: skip
@@ -174,6 +184,7 @@ def measure_only(
     write: str | Iterable[str] | None = None,
     black_level: float | None = None,
     white_level: float | None = None,
+    right: Path | None = None,
     max_relative_sigma: float = MAX_RELATIVE_SIGMA,
     listener: Callable[[str], None] = lambda name: None,
     inspect: Callable[[np.ndarray], None] = lambda image: None,
@@ -185,7 +196,7 @@ def measure_only(
     outputs = chosen_outputs(write, is_calibrated=camera.calibration.is_calibrated)
     clock = StageClock(listener)
     with clock("read"), within_memory(path.name):
-        photograph = camera.photograph(path, black_level=black_level, white_level=white_level)
+        photograph = camera.photograph(path, right=right, black_level=black_level, white_level=white_level)
         image, form = photograph.image, photograph.form
         if form is not None and form.reduction > 1 and camera.shows_frame_at(form.read_size_px):
             camera = camera.at_size(*form.read_size_px)  # as expected: nothing to warn of

@@ -16,9 +16,9 @@ export function startPhoto() {
     if (viewer.view === "picture") { at = [x, y]; refocus(); }
   } });
   for (const id of ["photo-take", "photo-open"]) $(id).addEventListener("change", () => {
-    const [file] = $(id).files;
+    const [file, right] = $(id).files;  // of a dual-pixel camera two
     $(id).value = "";
-    if (file) attempt(() => measure(file));
+    if (file) attempt(() => measure(file, right));
   });
   for (const id of ["f-number", "background", "sharpen"]) $(id).addEventListener("input", () => { showNumber(); viewer.show("picture"); refocus(); });
   viewer.buttons.at(-1).addEventListener("click", () => { if (!viewer.picture) refocus(); });
@@ -29,14 +29,14 @@ export function startPhoto() {
 const fNumber = () => photo.f_number * 2 ** (Number($("f-number").value) / 2);  // a step of 1 is a stop
 const showNumber = () => { $("f-value").textContent = photo?.f_number ? `f/${fNumber().toFixed(1)}` : ""; };
 
-async function measure(file) {
+async function measure(file, right) {
   const camera = chosenCamera();
   if (!camera) return say("Choose a camera file first, or make one: “Calibrate”.");
   const quality = $("photo-quality").value;
   say(quality === "accurate" ? `Measuring ${file.name}; the best quality takes some 12 seconds a megapixel.` : `Measuring ${file.name}.`, { plain: true });
   $("photo-tools").hidden = true;
-  const frame = (quality === "real-time" && $("where").value !== "computer" ? await byDevice(camera, file) : null) ?? await byComputer(camera, file, quality);
-  photo = { ...frame.facts, f_number: frame.facts.f_number ?? camera.f_number, file, camera, quality };
+  const frame = (quality === "real-time" && $("where").value !== "computer" && !camera.dual_pixel && !right ? await byDevice(camera, file) : null) ?? await byComputer(camera, file, quality, right);
+  photo = { ...frame.facts, f_number: frame.facts.f_number ?? camera.f_number, file, right, camera, quality };
   at = null;
   viewer.picture = undefined;
   await viewer.setFrame(frame);
@@ -71,17 +71,18 @@ async function byDevice(camera, file) {
   }
 }
 
-async function byComputer(camera, file, quality) {
+async function byComputer(camera, file, quality, right) {
   if (!$("mode").textContent.startsWith("Measured by the computer")) showMode("measured by the computer");
-  const where = query({ camera: camera.name, quality, name: file.name });
-  return unpack(await (await ask("api/photos" + where, { method: "POST", body: file })).arrayBuffer(), camera.name, quality);
+  const pair = right ? { right: right.name, left_bytes: file.size } : {};
+  const where = query({ camera: camera.name, quality, name: file.name, ...pair });
+  return unpack(await (await ask("api/photos" + where, { method: "POST", body: right ? new Blob([file, right]) : file })).arrayBuffer(), camera.name, quality);
 }
 
 // The computer's name of a photograph: one that this device measured is sent there when it is focused elsewhere or saved.
 async function sent(now) {
   if (!now.photo) {
     const mode = $("mode").textContent;
-    now.photo = (await byComputer(now.camera, now.file, now.quality)).facts.photo;
+    now.photo = (await byComputer(now.camera, now.file, now.quality, now.right)).facts.photo;
     $("mode").textContent = mode;
   }
   return now.photo;

@@ -17,7 +17,7 @@ whitened spectra along its eigenvectors, the likelihood is::
     L = -sum_fk [ log(1 + A g_k) + z_k / (1 + A g_k) ]
 
 and A maximises it at every layer, by Fisher's scoring in log A. The noise without texture, A = 0, tells no layer from
-another. NumPy alone: only photographs of `evaluation.dual_pixel_noise` use it.
+another. NumPy alone: only photographs of `color.shared_noise` use it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import numpy as np
 from chromaperture.matching.evidence.spectral_model import SpectralModel
 from chromaperture.system.threads import parallel_map
 
-# Of the noise variance that `evaluation.dual_pixel_noise` measures, three times that of the finest frequencies of half
+# Of the noise variance that `color.shared_noise` measures, three times that of the finest frequencies of half
 # the sum. Where photographs hold no detail, half the sum has 2.8 times the finest frequencies' power in the octave of
 # sigmas .6 to 1.4 px and 3.8 times in that of 1.4 to 3.2 px (two photographs of the set, light of .25 to .56), half the
 # difference 1.0 to 1.3 times in both: white noise of either half, and common noise smoothed by .7 px.

@@ -17,6 +17,8 @@ from chromaperture.optics.lens_blur import BlurModel, displacement, rims
 from chromaperture.optics.ray_table import RayTable
 from chromaperture.system.errors import InputError
 
+# Film of halves that see their side of the pupil alone: green is the mean of both, and tells nothing more.
+PURE = {"cyan": (0.0, 0.5, 1.0), "yellow": (1.0, 0.5, 0.0)}
 HALF_PUPIL_CENTROID = 4 / (3 * np.pi)  # of a half disc, in its radii
 
 
