@@ -126,6 +126,7 @@ def printed(run, monkeypatch):
 
     def printed(result, *options, report=False):
         monkeypatch.setattr("chromaperture.calibration.calibrate_session.calibrate_session", lambda *a, **k: result)
+        monkeypatch.setattr("chromaperture.calibration.session.read_session", lambda folder: result.session)
         code, said, _ = run("calibrate", "session", *options, *(() if report else ("--no-report",)))
         return code, " ".join(said.split())
 
