@@ -17,12 +17,15 @@ def board(
         float | None, typer.Option(help="Side of a square, mm; default 30 on A3, 22 on A4 and Letter.")
     ] = None,
     paper: Annotated[str, typer.Option(help="a3, a4 or letter; landscape.")] = "a3",
-    wall_pages: Annotated[int, typer.Option(help="Pages of speckle for the wall around the board.", min=0)] = 0,
+    wall_pages: Annotated[
+        int | None,
+        typer.Option(help="Pages of speckle for the wall around the board; default 4, in a .svg none.", min=0),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Write a chessboard of true size, in speckle that helps the matcher.
 
-    chromaperture board --out board.pdf --wall-pages 4
+    chromaperture board --out board.pdf
 
     chromaperture board --out board.pdf --paper a4      (squares of 22 mm)
     """
@@ -32,6 +35,7 @@ def board(
     columns, rows = inner_corners(board)
     page = board_page(columns=columns, rows=rows, square_mm=square_mm, paper=paper)
     with staged(out.parent) as stage:
-        write_board(stage.path(out.name), page, wall_pages=wall_pages)
+        default = 0 if out.suffix.lower() == ".svg" else 4
+        write_board(stage.path(out.name), page, wall_pages=default if wall_pages is None else wall_pages)
     if not quiet:
         typer.echo(f"Wrote {out}: {page.caption}")

@@ -21,6 +21,8 @@ _PAGE_MM = (210.0, 297.0)  # A4
 _COLOURS = {"red": "#e03030", "green": "#20a040", "blue": "#3050e0", "cyan": "#30c0d8", "magenta": "#d840b0",
             "yellow": "#f2dc30", "clear": "#ffffff", "opaque": "#404040"}  # fmt: skip
 _OUTLINE_STEPS = 720  # chords of a circle: off by 1e-5 of its radius
+_TAB_MM = 3.0  # of film beyond the pupil's rim, by which a ring holds it; chosen by hand
+_RIM = 1e-3  # of the pupil's radius: what is nearer lies on its rim
 _SIDE_STEPS = 64  # points of a polygon's side, so that it can follow the rim of the pupil
 
 
@@ -90,6 +92,16 @@ def template_figure(aperture: Aperture, *, pupil_diameter_mm: float) -> Figure:
         half = 2 if x in (10, 60) else 1
         _line(axes, (x, 32 - half), (x, 32 + half))
     add_text(axes, 62, 33, "50 mm: measure before you cut", size_mm=3.5)
+    add_text(
+        axes,
+        10,
+        38,
+        f"Cut film along the dashes, {_TAB_MM:g} mm wider: a ring of black card holds it by them. Let two",
+        size_mm=3,
+    )
+    add_text(
+        axes, 10, 42, "films overlap by 0.3 mm where they meet: a gap lets white light into both views.", size_mm=3
+    )
 
     pieces = [(part.filter.name, outline(part.shape)) for part in aperture.parts]
     pitch = pupil_diameter_mm + 18  # room for marks and label
@@ -115,6 +127,11 @@ def _draw_pieces(
             Outline.make_compound_path(*closed), facecolor=face, edgecolor="black", lw=points(0.1), gid=f"{name}-{i}"
         )
         axes.add_patch(patch)
+        if len(pieces) == 1 and film not in ("clear", "opaque"):
+            tabs = [Outline(_with_tab(loop, _TAB_MM / radius) * radius + center) for loop in loops]
+            axes.add_patch(
+                PathPatch(Outline.make_compound_path(*tabs), fill=False, ls="--", lw=points(0.2), gid=f"{name}-{i}-tab")
+            )
     axes.add_patch(Circle(center, radius, fill=False, lw=points(0.1), gid=f"{name}-pupil"))
     for sx, sy in ((1, 0), (-1, 0), (0, 1)):
         _line(axes, *((cx + sx * (radius + r), cy + sy * (radius + r)) for r in (1, 4)))
@@ -122,6 +139,13 @@ def _draw_pieces(
     _line(axes, (cx, top + 4), (cx, top))
     _line(axes, (cx - 1.2, top + 1.6), (cx, top), (cx + 1.2, top + 1.6))
     add_text(axes, cx, cy + radius + 7.5, label, ha="center")
+
+
+def _with_tab(loop: np.ndarray, width: float) -> np.ndarray:
+    """Extend what lies on the rim of the unit pupil outwards, for a ring that holds the film; closed."""
+    closed = np.vstack([loop, loop[:1]])
+    on_rim = np.hypot(*closed.T) > 1 - _RIM
+    return np.where(on_rim[:, None], closed * (1 + width), closed)
 
 
 def _line(axes: Axes, *ends: tuple[float, float]) -> None:
