@@ -70,6 +70,7 @@ python_use_unqualified_type_names = True
 
 GALLERY = [
     "first_depth.py",
+    "film_in_the_lens.py",
     "error_bar.py",
     "coloured_points.py",
     "focus_elsewhere.py",

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 
 from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.chessboard import board_points, fit_intrinsics
@@ -155,6 +156,19 @@ def test_numbers_that_may_mean_two_things_are_refused(session, tmp_path, row, wo
     text = f"file{row[0]}ruler_mm\nboard/1150.png{row}\n"
     with pytest.raises(InputError, match=word):
         read_session(copy_with(session, tmp_path, distances__csv=text))
+
+
+def test_a_phone_that_changed_its_lens_is_named(session, tmp_path):
+    folder = copy_with(session, tmp_path)
+    names = [path.name for path in read_session(folder).boards]
+    text = (folder / "distances.csv").read_text().replace(".png", ".jpg")
+    (folder / "distances.csv").write_text(text)
+    for name, focal_mm in zip(names, [6.9, 6.9, 2.2, 6.9, 6.9], strict=True):
+        exif = Image.Exif()
+        exif.get_ifd(0x8769)[0x920A] = focal_mm
+        Image.new("RGB", (144, 108), (90, 120, 80)).save(folder / "board" / name.replace(".png", ".jpg"), exif=exif)
+    with pytest.raises(InputError, match=r"focal length, mm, of 1800\.jpg is 2\.2, that of 1150\.jpg 6\.9"):
+        read_session(folder)
 
 
 def test_squares_that_were_counted_for_corners_are_said(session, tmp_path):

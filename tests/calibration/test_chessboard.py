@@ -51,6 +51,24 @@ def test_a_board_upside_down_stands_at_the_same_distance() -> None:
     assert turned == pytest.approx(upright, rel=1e-3)  # noise falls on other pixels of the board
 
 
+@pytest.mark.parametrize("along", [0, 1])
+@pytest.mark.parametrize("bend_mm", [0.0, 1.0, 10.0])
+def test_a_bent_board_is_found_and_does_not_change_the_focal_length(bend_mm: float, along: int, rng) -> None:
+    size, focal_px = (720, 480), 1650.0
+    matrix = centered_pinhole(focal_px, size)
+    board = board_points(INNER, SQUARE_MM).astype(float)
+    board -= board.mean(axis=0)
+    board[:, 2] = bend_mm * (1 - (board[:, along] / board[:, along].max()) ** 2)
+    views = []
+    for i in range(12):
+        turn = np.array([0.35 * np.sin(i), 0.4 * np.cos(i), 0.1])
+        seen, _ = cv2.projectPoints(board, turn, np.array([0, 0, 1700.0]), matrix, np.zeros(5))
+        views.append((seen.reshape(-1, 2) + rng.normal(0, 0.1, (len(board), 2))).astype(np.float32))
+    found = fit_intrinsics(views, size, INNER, SQUARE_MM)
+    assert abs(found.bend_mm) == pytest.approx(bend_mm, abs=0.2)  # .1 is found; taken for flat, 1 mm makes 6 %
+    assert found.camera_matrix[0, 0] == pytest.approx(focal_px, rel=0.015)  # .3 % is the fit's own error
+
+
 @pytest.mark.parametrize("plane", [np.zeros((60, 80)), np.full((60, 80), 0.5), np.eye(80)[:60]])
 def test_no_board_no_corners(plane: np.ndarray) -> None:
     assert find_corners(plane.astype(np.float32), INNER) is None

@@ -89,7 +89,11 @@ def measure_pinhole(session: Session, lens_from: Calibration | None, *, cache: C
     if len(tilted) < MIN_VIEWS:
         note = f"{len(tilted)} tilted boards with corners: intrinsics are nominal, points may be off by a few %"
         return Pinhole(None, corners, (note, *notes))
-    return Pinhole(fit_intrinsics(tilted, size, session.inner_corners, session.square_mm), corners, notes)
+    fitted = fit_intrinsics(tilted, size, session.inner_corners, session.square_mm)
+    if fitted.bend_mm:
+        off = f"your board is bent: its middle stands {abs(fitted.bend_mm):.1f} mm off its ends"
+        notes = (f"{off}. The focal length allows for it; glue the board onto something flat", *notes)
+    return Pinhole(fitted, corners, notes)
 
 
 def _check_count(session: Session) -> None:

@@ -20,6 +20,7 @@ import numpy as np
 from pydantic import Field
 
 from chromaperture.capture.dual_pixel import pairs
+from chromaperture.capture.exif import read_exif
 from chromaperture.capture.files import format_of, read_light
 from chromaperture.capture.picture_format import PictureFormat
 from chromaperture.capture.shots import counted, photographs
@@ -39,9 +40,10 @@ from chromaperture.system.validation import (
     NotNegative,
     Positive,
     Table,
+    as_text,
     checked,
     quoted,
-    read_text,
+    read_bytes,
     read_toml,
 )
 
@@ -57,6 +59,7 @@ PAIR_DESIGN = "cy_halves"  # what a dual-pixel sensor sees: the right of the pup
 SHEETS = {"cyan": "sheet_c", "yellow": "sheet_y", "magenta": "sheet_m", "red": "sheet_r", "green": "sheet_g",
           "blue": "sheet_b"}  # fmt: skip
 _UNITS = {"cm": 10.0, "m": 1000.0, "inches": 25.4, "feet": 304.8}  # mm
+_SAME_LENS = 0.01  # relative; files round to a digit or two
 _OTHER_UNIT = 5.0  # ratio of expected to given distance from which the unit is wrong: half that of cm
 
 
@@ -198,6 +201,7 @@ def read_session(folder: str | Path) -> Session:
             CaptureWarning,
             stacklevel=2,
         )
+    _check_one_lens([*boards, *tilts])
     check_units(np.array([*boards.values()]), table.lens.focused_at_about_mm, where=str(folder / "distances.csv"))
     return Session(
         folder=folder,
@@ -234,6 +238,22 @@ def _check_kind(table: _SessionTable, where: str) -> None:
         raise InputError(f'{where}: a prescription and measured_from = "pupil" need flat = true below [board]')
     if table.depth is not None and not table.depth.near_mm < table.depth.far_mm:
         raise InputError(f"{where}: near_mm must be below far_mm")
+
+
+def _check_one_lens(paths: Iterable[Path]) -> None:
+    """Raise InputError where photographs state another focal length or f-number than the first that states one."""
+    first: dict[str, tuple[Path, float]] = {}
+    for path in paths:
+        exif = read_exif(path)
+        for what, value in (("focal length, mm,", exif.focal_length_mm), ("f-number", exif.f_number)):
+            if value is None:
+                continue
+            other, stated = first.setdefault(what, (path, value))
+            if abs(value / stated - 1) > _SAME_LENS:
+                raise InputError(
+                    f"the {what} of {quoted(path.name)} is {value:g}, that of {quoted(other.name)} {stated:g}: a phone "
+                    "that changes its lens, or a zoom or iris that was touched; photograph all with one, locked"
+                )
 
 
 def _format_of_first(boards: Mapping[Path, float], stated: StatedFacts) -> PictureFormat | None:
@@ -333,7 +353,7 @@ class _SessionTable(Table):
 def _distances(folder: Path) -> dict[Path, float]:
     """Read ``distances.csv``: photographs of boards and their distances by ruler, mm."""
     table = folder / "distances.csv"
-    lines = read_text(table, most_bytes=_MOST_CSV_BYTES).splitlines()
+    lines = as_text(read_bytes(table, most_bytes=_MOST_CSV_BYTES), table, or_utf16=True).splitlines()
     separator = next((mark for mark in ";\t" if lines and mark in lines[0]), ",")  # spreadsheets write either
     rows = csv.DictReader(lines, delimiter=separator, skipinitialspace=True)
     boards: dict[Path, float] = {}

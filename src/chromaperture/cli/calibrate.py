@@ -61,8 +61,8 @@ def calibrate(
     from chromaperture.system.storage import staged
 
     check_output(out, ".asdf", inputs=[lens_from])
-    known_session = read_session(session)
-    if not known_session.square_mm:
+    known_session = read_session(session) if (session / "session.toml").is_file() else None
+    if known_session is not None and not known_session.square_mm:
         if lens_from or report or no_blur or per_pixel:
             raise InputError("flat boards take no --lens-from, --report, --no-blur or --per-pixel: leave these out")
         _calibrate_flat(known_session, out, json=json, quiet=quiet)

@@ -94,7 +94,7 @@ def depth(
         str | None,
         typer.Option(
             help="Files to write: depth, sigma, disparity, depth-png, color, ply, preview, json, which is the default; "
-            "gdepth, dynamic-depth, exr, glb, usdz for other programs (docs/formats.md).",
+            "gdepth, dynamic-depth, exr, exr-layers, glb, usdz for other programs (docs/formats.md).",
             metavar="NAME,...",
         ),
     ] = None,

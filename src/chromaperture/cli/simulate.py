@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from chromaperture.cli.console import progress, say_error
+from chromaperture.cli.console import progress
 from chromaperture.cli.options import (
     BOARDS_PANEL,
     CAMERA_PANEL,
@@ -108,8 +108,8 @@ def simulate(
         stage.take_all()
     took = f"in {time.monotonic() - began:.0f} s"
     if not is_whole:
-        say_error(f"interrupted: {out} holds what was finished {took}, a session of fewer photographs")
-        raise typer.Exit(130)
+        typer.echo(f"{out} holds what was finished {took}, a session of fewer photographs", err=True)
+        raise KeyboardInterrupt
     if not quiet:
         command = f"chromaperture calibrate {shlex.quote(str(out))} --out camera.asdf"
         typer.echo(f"Wrote {out} {took}; calibrate it with: {command}")

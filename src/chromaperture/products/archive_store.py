@@ -78,7 +78,7 @@ def find_photographs(
 def names_in_list(path: Path) -> list[str]:
     """Read names of photographs from a text file, one a line; ``-`` is standard input; raises InputError."""
     try:
-        text = as_text(sys.stdin.buffer.read() if str(path) == "-" else path.read_bytes(), path)
+        text = as_text(sys.stdin.buffer.read() if str(path) == "-" else path.read_bytes(), path, or_utf16=True)
     except OSError as error:
         raise InputError(f"cannot read the list {path} ({error}); give a text file with one name a line") from None
     names = [line.strip() for line in text.splitlines() if line.strip()]

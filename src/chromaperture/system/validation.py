@@ -69,14 +69,15 @@ def read_bytes(path: str | Path, *, most_bytes: int) -> bytes:
 
 
 def read_text(path: str | Path, *, most_bytes: int) -> str:
-    """Read a text file; raises InputError like `read_bytes` and `as_text`."""
+    """Read a text file in UTF-8; raises InputError like `read_bytes`, and for another encoding."""
     return as_text(read_bytes(path, most_bytes=most_bytes), path)
 
 
-def as_text(data: bytes, path: str | Path) -> str:
+def as_text(data: bytes, path: str | Path, *, or_utf16: bool = False) -> str:
     """Decode UTF-8, or UTF-16 that says so, as PowerShell writes it; raises InputError for another encoding."""
+    is_utf16 = or_utf16 and data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        return data.decode("utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig")
+        return data.decode("utf-16" if is_utf16 else "utf-8-sig")
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
         raise InputError(f"{quoted(path)} is not UTF-8 text (line {line}): save it again with this encoding") from None
