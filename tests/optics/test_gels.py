@@ -243,10 +243,10 @@ def test_a_line_keeps_its_place(tmp_path):
 def test_the_strongest_line_is_found(tmp_path):
     flat = [(nm, 1) for nm in range(380, 781, 5)]
     line = [(nm, 101 if nm == 545 else 1) for nm in range(380, 781)]  # 100 of 501
-    assert strongest_line(write(tmp_path / "flat.csv", flat))[1] == pytest.approx(10 / 401)
+    assert strongest_line(write(tmp_path / "flat.csv", flat))[1] == pytest.approx(11 / 401)
     at_nm, share = strongest_line(write(tmp_path / "line.csv", line))
-    assert at_nm == pytest.approx(545, abs=5)
-    assert share == pytest.approx(110 / 501)
+    assert at_nm == pytest.approx(545)
+    assert share == pytest.approx(111 / 501)
 
 
 BAD = {

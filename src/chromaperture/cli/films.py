@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _COUNT = 5  # pairs a list
 _COMMON = (("118", "101"), ("115", "101"))  # what is bought by the names of the colours; shown beside the best
 _ALIKE = 1e-9  # information, where the best pairs have 0.1 and more: two of one colour; chosen by hand
-# Of a lamp's power within 10 nm, from where it is a line: CIE's white LEDs have at most 0.09, its fluorescent lamps of
+# Of a lamp's power, within 5 nm, from where it is a line: CIE's white LEDs have at most 0.1, its fluorescent lamps of
 # three bands 0.18 and more.
 _LINE = 0.12
 
@@ -136,7 +136,7 @@ def _warn_of_lines(light: str, gels: list[Gel], what: Seen, by_day: Seen) -> Non
     if share > _LINE:
         changes = max(float(abs(what.passed[gel] - by_day.passed[gel]).max()) for gel in gels)
         warnings.warn(
-            f"{Path(light).name} has a line at {at_nm:.0f} nm, {share:.0%} of its light within 10 nm: what film "
+            f"{Path(light).name} has a line at {at_nm:.0f} nm, {share:.0%} of its light within 5 nm of it: what film "
             f"passes depends on it, by up to {changes:.2f} against daylight. Photograph white sheets in this light",
             CaptureWarning, stacklevel=2,
         )  # fmt: skip

@@ -168,7 +168,7 @@ def crosstalk(films: np.ndarray, sensors: np.ndarray, light: np.ndarray) -> tupl
 
 
 def strongest_line(file: str) -> tuple[float, float]:
-    """Return where 10 nm of a measured light hold most of its power, nm, and which share of it."""
+    """Return where most of the power of a measured light lies within 5 nm, nm, and its share."""
     power = read_spectra(file, ["power"], whole=False)[0]
-    within = np.convolve(power, np.ones(10), "same") / power.sum()
-    return float(within.argmax() + 380), float(within.max())
+    within = np.convolve(power, np.ones(11), "same") / power.sum()
+    return float(np.flatnonzero(within >= (1 - 1e-9) * within.max()).mean() + 380), float(within.max())
