@@ -31,8 +31,8 @@ KEPT = 20_000  # packets that can be sent again
 class EmulatedCamera:
     """The running camera."""
 
-    def __init__(self, *, lost_per_thousand: int = 0) -> None:
-        self._lost = lost_per_thousand
+    def __init__(self, *, lost_per_thousand: int = 0, genicam: Path | None = None) -> None:
+        self._options = ["-r", str(lost_per_thousand), *(["-g", str(genicam)] if genicam else [])]
 
     def __enter__(self) -> Self:
         self._log = tempfile.NamedTemporaryFile("w+", suffix=".log")
@@ -41,7 +41,7 @@ class EmulatedCamera:
 
     def _start(self) -> None:
         # Line by line, or what it says last is lost when it is killed; 2: information.
-        command = ["stdbuf", "-oL", PROGRAM, "-i", "lo", "-r", str(self._lost), "-d", "stream-thread:2"]
+        command = ["stdbuf", "-oL", PROGRAM, "-i", "lo", *self._options, "-d", "stream-thread:2"]
         self._process = subprocess.Popen(command, stdout=self._log, stderr=self._log)
 
     def __exit__(self, *error: object) -> None:

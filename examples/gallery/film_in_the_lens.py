@@ -19,7 +19,7 @@ from chromaperture.optics.simulator.scene import plane
 COLOURS = ["#30c0d8", "#f2dc30"]
 FRONT_MM = -30.0  # before the stop: a holder in front of the lens
 lens = focused_at(load_lens("double_gauss_50"), 2000.0)
-aperture = made_of(DESIGNS["cy_halves"], "real")
+aperture = made_of(DESIGNS["cy_halves"], "lee")
 
 
 def draw_lens(axes, film_mm, title):
@@ -51,12 +51,12 @@ def draw_lens(axes, film_mm, title):
 
 
 # %%
-# Two pieces of film across the pupil. At the stop (left) every point of the scene, in the middle (black) or at the side
-# (red), sends its light through both. In front of the lens (right) what comes from the side passes mostly one of them.
+# Two pieces of film across the pupil. At the stop (above) every point of the scene, in the middle (black) or at the
+# side (red), sends its light through both. In front of the lens (below) what comes from the side passes mostly one.
 
-figure, (left, right) = plt.subplots(1, 2, figsize=(11, 2.4))
-draw_lens(left, 0.0, "at the stop: good")
-draw_lens(right, FRONT_MM, "in front of the lens: bad")
+figure, (above, below) = plt.subplots(2, 1, figsize=(7, 5), layout="constrained")
+draw_lens(above, 0.0, "at the stop: good")
+draw_lens(below, FRONT_MM, "in front of the lens: bad")
 
 
 # %%
@@ -72,7 +72,7 @@ def white_sheet(film_mm):
     return np.clip(picture / np.percentile(picture, 99.5), 0, 1) ** (1 / 2.2)
 
 
-figure, axes = plt.subplots(1, 3, figsize=(11, 2.8))
+figure, axes = plt.subplots(1, 3, figsize=(7, 1.8), layout="constrained")
 for panel, film_mm, title in zip(
     axes, (0.0, -5.0, FRONT_MM), ("at the stop", "5 mm before it", "in front of the lens"), strict=True
 ):
@@ -86,7 +86,7 @@ for panel, film_mm, title in zip(
 
 page = board_page()
 (width, height), (x, y) = page.size_mm, page.origin_mm
-figure, wall = plt.subplots(figsize=(7, 5))
+figure, wall = plt.subplots(figsize=(7, 5), layout="constrained")
 for place in range(9):
     left_mm, top_mm = width * (place % 3 - 1), height * (place // 3 - 1)
     extent = (left_mm + 3, left_mm + width - 3, top_mm + height - 3, top_mm + 3)

@@ -19,6 +19,7 @@ from chromaperture.calibration.calibrate_session import calibrate_session
 from chromaperture.calibration.options import CalibrationConfig
 from chromaperture.evaluation.session_checks import Reading, edge_blur
 from chromaperture.model.camera_file import Calibration
+from chromaperture.optics.aperture import DESIGNS, made_of
 from chromaperture.products.samples import sample_camera
 from chromaperture.system.errors import InputError
 
@@ -141,6 +142,24 @@ def test_a_spoiled_photograph_is_named(tmp_path, filled, rendered, name, change,
     assert problem in found
     if options.get("kind", "board") != "board" and not name.startswith("board/1000"):
         assert found == {problem}
+
+
+@pytest.mark.parametrize("gels", ["118,101", "115,101", "141,768", "118,770", "068,015"])
+def test_sheets_of_the_gels_that_are_advised_are_good_and_a_green_one_is_not(tmp_path, filled, rendered, gels):
+    """Pairs of docs/optics.md."""
+    halves = made_of(DESIGNS["cy_halves"], gels)
+    cyan, yellow = (np.array(part.filter.transmission) for part in halves.parts)
+    green = np.array(made_of(DESIGNS["magenta_annulus"], "139").parts[0].filter.transmission)
+
+    def found(sheet, light):
+        through = spoiled(tmp_path, rendered / "white" / "open.png",
+                          lambda counts: np.rint(16 + (counts - 16.0) * light[::-1]).astype(np.uint16))  # fmt: skip
+        return problems(filled, through, kind="white", sheet=sheet)
+
+    for sheet, light in (("sheet_c", cyan), ("sheet_y", yellow), ("cy_halves", (cyan + yellow) / 2)):
+        assert "film" not in found(sheet, light), sheet
+    assert "film" in found("sheet_y", green)
+    assert "film" in found("sheet_y", cyan)
 
 
 def test_focus_that_moved_is_named_by_the_boards_before(tmp_path, filled, rendered):

@@ -20,8 +20,9 @@ from chromaperture.calibration.fit_fields import check_scale, fit_depth_model
 from chromaperture.calibration.options import Cache, CalibrationConfig, silent
 from chromaperture.calibration.place_boards import Pinhole, measure_pinhole, place_boards
 from chromaperture.calibration.session import read_session
-from chromaperture.calibration.white_sheets import measure_white_sheets
+from chromaperture.calibration.white_sheets import FILM_ERROR, measure_white_sheets
 from chromaperture.color.unmixing import own_film_unmixing
+from chromaperture.depth.conversion import disparity_to_depth
 from chromaperture.depth.field import DepthField
 from chromaperture.evaluation import verdict
 from chromaperture.matching.views import view_spaces
@@ -206,6 +207,20 @@ def test_a_board_that_was_not_printed_at_its_size_is_said(session, rng, printed)
     assert placed.square_mm == pytest.approx(30.0 * printed, rel=0.01)  # the focal length is good to .3 %
     assert placed.intrinsics.camera_matrix[0, 0] == pytest.approx(focal_px, rel=0.01)
     assert any("your squares are 28.8 mm" in note for note in placed.notes) == (printed < 1)
+
+
+@pytest.mark.slow
+def test_film_without_a_sheet_is_in_the_error_bar_and_in_the_notes(session, tmp_path):
+    folder = copy_with(session, tmp_path)
+    (folder / "white" / "sheet_c.png").unlink()
+    result = calibrated(folder)
+    assert any("no sheet of cyan" in note for note in result.notes)
+    model = result.calibration.depth["real-time"].on_axis(144, 108)
+    disparity = np.array([-1.0, 1.0])
+    depth, sigma = disparity_to_depth(disparity, model, np.zeros(2))
+    slope = float(model.scale_px_mm) / (depth - float(model.sensor_to_pupil_mm)) ** 2  # px per mm
+    assert (sigma >= FILM_ERROR * np.abs(disparity) / slope).all()  # of the film alone, beside that of the fit
+    assert (sigma < 2 * FILM_ERROR * np.abs(disparity) / slope).all()
 
 
 @pytest.mark.slow

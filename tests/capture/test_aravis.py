@@ -9,6 +9,7 @@ import pytest
 import gige
 from chromaperture.capture.aravis import AravisCamera
 from chromaperture.capture.open import connected_sources, open_source
+from chromaperture.capture.threaded_source import Arrival
 from chromaperture.system.errors import InputError
 from waiting import until
 
@@ -64,13 +65,60 @@ def test_frames_and_what_the_camera_was_set_to(aravis):
     assert "aravis:Fake_1" in connected_sources()[1].specs
     with open_source("aravis:Fake_1?pixel_format=BayerRG8&width=128&height=96&exposure_us=5000&fps=50") as source:
         frames = [frame for frame, _ in zip(source, range(4), strict=False)]
-    told = {"pixel_format": "BayerRG8", "exposure_us": 5000, "gain": 0, "region": [0, 0, 128, 96]}
+    told = {"pixel_format": "BayerRG8", "exposure_us": 5000, "gain": 0, "region_px": [960, 976, 128, 96]}
     for frame in frames:
         assert frame.counts.shape == (48, 64, 3)
         assert frame.metadata | told == frame.metadata
     assert [f.metadata["frame_id"] - frames[0].metadata["frame_id"] for f in frames] == [
         f.index - frames[0].index for f in frames
     ]
+
+
+def test_what_the_camera_does_to_pictures_is_switched_off(aravis, camera, tmp_path):
+    aravis.enable_interface("Fake")
+    choices = "".join(f'<EnumEntry Name="{n}"><Value>{i}</Value></EnumEntry>' for i, n in enumerate(["Off", "On"]))
+    locked, mirrored = "<pIsLocked>One</pIsLocked>", '<Boolean Name="ReverseX">'
+    described = aravis.Camera.new("Fake_1").get_device().get_genicam_xml()[0].replace(
+        "</RegisterDescription>",
+        f"""<Integer Name="Zero"><Value>0</Value></Integer><Integer Name="One"><Value>1</Value></Integer>
+        <Enumeration Name="BalanceWhiteAuto">{choices}<Value>1</Value></Enumeration>
+        {mirrored}<Value>1</Value></Boolean>
+        <Boolean Name="LUTEnable"><pIsAvailable>Zero</pIsAvailable><Value>1</Value></Boolean>
+        <Float Name="Gamma"><Value>2.2</Value><Min>0</Min><Max>4</Max></Float>
+        <Integer Name="DigitalShift">{locked}<Value>1</Value></Integer>
+        <Float Name="BslBrightness"><Value>0.5</Value><ImposedAccessMode>RO</ImposedAccessMode></Float>
+        <Integer Name="BlackLevel"><Value>16</Value></Integer></RegisterDescription>""",
+    )  # fmt: skip
+    (tmp_path / "camera.xml").write_text(described)
+    (tmp_path / "mirrored.xml").write_text(described.replace(mirrored, mirrored + locked))
+    camera.stop()
+    with gige.EmulatedCamera(genicam=tmp_path / "camera.xml"):
+        device = AravisCamera(gige.CAMERA, width=128, height=96)
+        settings, nodes = device._settings, device._camera.get_device()
+        off = [nodes.get_feature(name).get_value_as_string() for name in ("BalanceWhiteAuto", "ReverseX", "Gamma")]
+        device.close()
+    assert off == ["Off", "false", "1"]
+    assert settings.facts["not_neutral"] == ["BslBrightness", "DigitalShift"]
+    assert settings.levels == (16, 255)
+    with gige.EmulatedCamera(genicam=tmp_path / "mirrored.xml"), pytest.raises(InputError, match="keeps ReverseX on"):
+        AravisCamera(gige.CAMERA)
+
+
+def test_a_camera_that_waits_for_its_trigger_is_not_lost(camera):
+    device = AravisCamera(gige.CAMERA, trigger="Software", width=128, height=96)
+    try:
+        assert device.read(0) == Arrival()
+        device._camera.software_trigger()
+        arrivals = [device.read(0), device.read(0)]  # one of them with it
+    finally:
+        device.close()
+    assert sum(arrival.frame is not None for arrival in arrivals) == 1
+    device = AravisCamera(gige.CAMERA, width=128, height=96, fps=50)
+    try:
+        assert device._settings.is_slow is False  # the trigger is off again
+        until(lambda: (arrival := device.read(0)) and arrival.frame)
+    finally:
+        device.close()
 
 
 @pytest.mark.parametrize("lost_per_thousand", [2, 20])
@@ -203,14 +251,14 @@ def test_a_camera_that_another_program_controls_is_refused_in_one_line_and_goes_
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        ("pixel_format=BayerRG12", r"does not offer pixel_format BayerRG12: choose BayerBG8, .*Mono16$"),
-        ("pixel_format=Mono8", r"Mono8; depth needs Bayer .*monochrome"),
-        ("width=99999", r"width=99999 is not possible: the camera takes 1 to 2048"),
-        ("height=99999", r"height=99999 is not possible"),
-        ("fps=1000000", r"fps=1e\+06 is not possible: the camera takes 0.1 to 1000"),
-        ("exposure_us=1", r"exposure_us=1 is not possible: the camera takes 10 to"),
-        ("gain=3.7", r"gain=3.7 is not possible: the camera makes it 3$"),
-        ("packet_size=10", r"packet_size=10 is not possible"),
+        ("pixel_format=BayerRG12", r"has no pixel format BayerRG12: choose BayerBG8, .*Mono16$"),
+        ("pixel_format=Mono8", r"Mono8 is not read; choose Bayer"),
+        ("width=99999", r"width of Aravis Fake must be 1 to 2048, got 99999"),
+        ("height=99999", r"height of Aravis Fake must be 1 to 2048"),
+        ("fps=1000000", r"fps of Aravis Fake must be 0.1 to 1000, got 1e\+06"),
+        ("exposure_us=1", r"exposure_us of Aravis Fake must be 10 to 1e\+07, got 1"),
+        ("gain=3.7", r"gain of Aravis Fake must be 0 to 10 in steps of 1, got 3.7"),
+        ("packet_size=10", r"packet_size must be between 576 and 65535 bytes"),
         ("packet_resend=maybe", r"unknown packet_resend 'maybe': choose always or never"),
         ("packet_timeout_ms=-1", r"between 0 and 60000 ms"),
         ("frame_retention_ms=nan", r"between 0 and 60000 ms"),

@@ -65,7 +65,7 @@ def refused(run, *command):
     """The one line with which a command ends, of exit code 2."""
     result = run(*command)
     assert result.returncode == 2, result.stderr
-    (line,) = result.stderr.splitlines()
+    (line,) = (each for each in result.stderr.splitlines() if not each.startswith("["))  # progress, after 10 s
     return line
 
 

@@ -1,11 +1,9 @@
-"""Times and numbers of frames by the camera: right whatever its clock does, or said."""
+"""Times of frames by the camera: right whatever its clock does, or said."""
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from chromaperture.capture.device_clock import DeviceClock, FrameNumbers
+from chromaperture.capture.device_clock import DeviceClock
 
 START_S = 1.8e9  # seconds since 1970
 
@@ -66,28 +64,3 @@ def test_without_a_clock_frames_have_the_time_of_their_arrival(ticks):
         assert clock.time_s(ticks, START_S + i) == START_S + i
         assert not clock.is_camera_time
         assert not clock.report
-
-
-@given(st.lists(st.integers(1, 65000), min_size=1, max_size=30), st.integers(0, 2**40))
-def test_numbers_tell_what_is_missing(steps, first):
-    numbers = FrameNumbers()
-    assert numbers.missing(first) == 0
-    for number, step in zip(first + np.cumsum(steps), steps, strict=True):
-        assert numbers.missing(int(number)) == step - 1
-
-
-@given(st.lists(st.integers(1, 30000), min_size=1, max_size=30))
-def test_numbers_of_16_bits_go_round_without_0(steps):
-    numbers, sent = FrameNumbers(), 65000
-    numbers.missing(sent)
-    for step in steps:
-        sent += step
-        assert numbers.missing((sent - 1) % 65535 + 1) == step - 1
-
-
-@pytest.mark.parametrize("number", [0, 1, 900])
-def test_numbers_that_begin_anew_are_no_loss(number):
-    numbers = FrameNumbers()
-    numbers.missing(900)
-    assert numbers.missing(number) == 0
-    assert numbers.missing(number + 3) == 2

@@ -140,6 +140,7 @@ def test_two_samples_of_a_mosaic_are_its_halves(tmp_path, scene):
     assert format_of(path, PAIRED).read_size_px == (48, 32)
 
 
+@pytest.mark.extra("raw", "rawpy")
 def test_of_a_raw_file_of_two_shots_the_first_is_the_sum(tmp_path, scene, monkeypatch):
     """LibRaw makes two shots of makers' files only, so its reader is replaced here."""
     counts = {0: scene[0].astype(np.uint16) + scene[1] - BLACK, 1: scene[0]}

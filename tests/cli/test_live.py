@@ -167,6 +167,17 @@ def test_the_film_of_a_live_view_is_checked(run, tmp_path):
         assert ("was not taken through this camera's film" in result.stderr) == doubts
 
 
+def test_another_part_of_the_sensor_is_refused_in_one_line(run, tmp_path):
+    with Recorder(tmp_path / "take") as recorder:
+        recorder.write(Frame(np.zeros((48, 72, 3), np.uint8), Encoding(0, 255), 0.0, 0, {"region_px": [0, 0, 72, 48]}))
+    camera = sample_camera("still_life_cy_halves")
+    options = "--no-page", "--no-model", "-q", "--out", tmp_path / "out"
+    result = run("live", f"replay:{tmp_path / 'take'}", "--camera", camera, *options)
+    assert result.returncode == 2
+    assert result.stderr.startswith("error: frames are 72x48 px of the sensor")
+    assert result.stderr.count("\n") == 1
+
+
 def seen_of(eye: Device, frames: int) -> tuple[list[int], LiveLoop]:
     """Numbers of the frames that come out of a loop into which so many go."""
     source, seen = Numbered(frames=frames, shape=(4, 6)), []

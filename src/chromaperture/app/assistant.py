@@ -28,7 +28,7 @@ from chromaperture.evaluation.session_checks import (
     check_tilt,
     check_tone,
 )
-from chromaperture.optics.aperture import design_named, made_of
+from chromaperture.optics.aperture import USUAL_FILM, design_named, made_of
 from chromaperture.system.errors import InputError
 
 CELLS = (6, 4)  # of the frame, in which corners are counted; chosen by hand
@@ -136,7 +136,7 @@ def sheets_of(folder: SessionFolder) -> dict[str, str]:
 
 def lens_of(folder: SessionFolder, session: Session) -> Lens:
     """Return what the forecast needs."""
-    aperture, nominal = made_of(design_named(session.design), "real"), nominal_depth_model(session)
+    aperture, nominal = made_of(design_named(session.design), USUAL_FILM), nominal_depth_model(session)
     curve = curve_so_far(folder, session)
     return Lens(
         model=curve or nominal,

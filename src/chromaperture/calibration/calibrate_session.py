@@ -31,7 +31,7 @@ from chromaperture.calibration.place_boards import BoardDistances, PlacedBoards,
 from chromaperture.calibration.read_boards import BoardMeasurement, grid, measure_again, measure_boards, pixel_sigma
 from chromaperture.calibration.rendered_boards import rendered_nonlinearity
 from chromaperture.calibration.session import Session, nominal_depth_model, read_session
-from chromaperture.calibration.white_sheets import measure_white_sheets
+from chromaperture.calibration.white_sheets import FILM_ERROR, measure_white_sheets, unmeasured_film
 from chromaperture.capture.picture_header import same_frame
 from chromaperture.depth.field import DepthField, degree_of, with_scale_error
 from chromaperture.model.camera_file import Calibration
@@ -145,7 +145,7 @@ def calibrate_session(
     evidence = dataclasses.replace(selected, rendered=rendered)
     curves = shifted if moves is None and not rendered else fit_curves(evidence, config, progress=progress)
     fields = {**with_accurate(curves, draft.design), "accurate": blurred.camera.depth["accurate"]}
-    depth = {quality: with_scale_error(field, _tone_error(session)) for quality, field in fields.items()}
+    depth = {quality: with_scale_error(field, _scale_error(session)) for quality, field in fields.items()}
     residuals = {quality: curve.residual_px.astype(np.float32) for quality, curve in curves.items()}
     of_steps = [step.notes for step in (sheets, pinhole, placed, blurred)] + [curve.notes for curve in curves.values()]
     fits = {quality: curve.fit for quality, curve in curves.items()}
@@ -221,6 +221,11 @@ def _tone_error(session: Session) -> float:
     return disparity_error(session.design, session.tone_error)
 
 
+def _scale_error(session: Session) -> float:
+    """Return the relative error of all disparities that no board shows: by the tone curve, and by film not measured."""
+    return float(np.hypot(_tone_error(session), FILM_ERROR if unmeasured_film(session) else 0.0))
+
+
 def leave_one_out(result: CalibrationResult, board: int, qualities: Sequence[Quality] = QUALITIES) -> Calibration:
     """Return the camera as calibrated without one board, which it can then measure independently.
 
@@ -228,12 +233,12 @@ def leave_one_out(result: CalibrationResult, board: int, qualities: Sequence[Qua
     """
     evidence, camera = result.evidence.without(board), result.calibration
     fields = dict(camera.depth)
-    tone = _tone_error(result.session)
+    scale_error = _scale_error(result.session)
     for quality in qualities:
         if quality == "accurate" and result.layers is not None:
             fields[quality] = fit_layers(result.layers, evidence.distances, evidence.used)
         else:
             curve = curve_without_blur(camera.design) if quality == "accurate" else quality
             fields[quality] = fit_curve(evidence, curve, result.config).field
-        fields[quality] = with_scale_error(fields[quality], tone)
+        fields[quality] = with_scale_error(fields[quality], scale_error)
     return dataclasses.replace(camera, depth=fields)

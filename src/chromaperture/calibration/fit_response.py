@@ -27,7 +27,7 @@ from chromaperture.color.encoding import KNOTS, ResponseCurve, response_table
 from chromaperture.color.image import SATURATION
 from chromaperture.color.srgb import linear_to_srgb
 from chromaperture.color.unmixing import mixing_matrix, unmixing_rows
-from chromaperture.optics.aperture import design_named, made_of
+from chromaperture.optics.aperture import USUAL_FILM, design_named, made_of
 from chromaperture.optics.psf import pupil_samples
 from chromaperture.system.errors import InputError
 from chromaperture.system.robust import MAD_TO_SIGMA
@@ -260,7 +260,7 @@ def edge_disparity(design: str, exponent: float, contrast: float, direction: int
     show at the same exponent, and each edge stands at the mean of its slope. ``direction`` is 1 where it is bright
     after the edge, else -1; ``contrast`` that of the bright side to the dark one.
     """
-    aperture = made_of(design_named(design), "real")
+    aperture = made_of(design_named(design), USUAL_FILM)
     points, light = pupil_samples(aperture, _CELLS)
     colors = np.array([aperture.filter_named(name).transmission for name in aperture.views])
     rows = unmixing_rows(mixing_matrix(colors**exponent), len(aperture.views))

@@ -5,21 +5,19 @@ from __future__ import annotations
 import math
 import time
 import traceback
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from chromaperture.capture.pixel_formats import best_format, unpack
+from chromaperture.capture.device_clock import FrameNumbers
+from chromaperture.capture.genicam_settings import Node, apply_settings
+from chromaperture.capture.pixel_formats import unpack
 from chromaperture.capture.source import Frame, FrameCounts
 from chromaperture.capture.threaded_source import Arrival, DeviceLostError, not_there
 from chromaperture.system.errors import InputError, MissingDependencyError
 
 _BUFFERS = 8  # frames in flight; chosen by hand, not tuned
-_BLOCKS = 65535  # GigE Vision's numbers of 16 bits: 1 to this, then 1 again
-_MOST_LOST = 10_000  # at once: more than cameras send before one that is silent counts as lost; chosen by hand
 _PACKET_BYTES = (576, 65535)  # of GigE Vision, and of UDP
-_ROUNDING = 0.01  # of a setting: cameras count exposures in rows, gains in steps
 _LATEST_S = 10.0  # a frame waits no longer for the host: its time is wrong. Chosen by hand, not tuned
 _RESEND = ("always", "never")
 
@@ -40,9 +38,9 @@ def load_aravis() -> Any:
 
 
 class AravisCamera:
-    """An opened GenICam camera, acquiring; an empty ``identity`` is the first one found, default format the best.
+    """An opened GenICam camera, acquiring; an empty ``identity`` is the first one found, settings as of `PylonCamera`.
 
-    Of the settings for GigE, ``packet_size`` is by default the camera's own if such packets arrive, else the largest
+    Of those for GigE, ``packet_size`` is by default the camera's own if such packets arrive, else the largest
     that do; ``packet_resend`` is "always" or "never", and needs a camera that can. A packet is asked for when it is
     late by ``initial_packet_timeout_ms``, again after ``packet_timeout_ms``, and a frame is given up when nothing of it
     came for ``frame_retention_ms``. ``socket_buffer_bytes`` is by default two frames; Linux gives at most
@@ -59,7 +57,8 @@ class AravisCamera:
         width: int | None = None,
         height: int | None = None,
         pixel_format: str | None = None,
-        black_level: float = 0.0,
+        trigger: str | None = None,
+        black_level: float | None = None,
         white_level: float | None = None,
         packet_size: int | None = None,
         packet_resend: str = "always",
@@ -69,7 +68,6 @@ class AravisCamera:
         socket_buffer_bytes: int | None = None,
     ) -> None:
         self._aravis = load_aravis()
-        self._levels = (black_level, white_level)
         self._numbers, self._since, self._underruns = FrameNumbers(), FrameCounts(), 0
         self._status, self._hint, self._resends = "", "", False  # of the last incomplete frame; of the network
         self._camera: Any = None
@@ -81,16 +79,28 @@ class AravisCamera:
             raise InputError("timeouts of packets and frames must be between 0 and 60000 ms")
         if socket_buffer_bytes is not None and not 0 < socket_buffer_bytes < 2**31:
             raise InputError("socket_buffer_bytes must be between 1 and 2147483647")
+        if packet_size is not None and not _PACKET_BYTES[0] <= packet_size <= _PACKET_BYTES[1]:
+            raise InputError(f"packet_size must be between {_PACKET_BYTES[0]} and {_PACKET_BYTES[1]} bytes")
         try:
             self._camera = self._aravis.Camera.new(identity or None)
             if self._is_gige and not self._camera.get_device().is_controller():
                 raise not_there(_named(identity), "another program controls it")
-            self._set_picture(pixel_format, width, height)
-            self._set_exposure(exposure_us, gain, fps)
+            self._settings = apply_settings(
+                _Nodes(self._aravis, self._camera),
+                exposure_us=exposure_us,
+                gain=gain,
+                fps=fps,
+                width=width,
+                height=height,
+                pixel_format=pixel_format,
+                trigger=trigger,
+                black_level=black_level,
+                white_level=white_level,
+            )
+            self._facts = self._settings.facts
             self._open_stream(packet_size)
             if self._is_gige:
                 self._set_network(packet_resend == "always", timeouts_ms, socket_buffer_bytes or 2 * self._payload)
-            self._settings = self._described()
             for _ in range(_BUFFERS):
                 self._push_new()
             self._camera.start_acquisition()
@@ -101,82 +111,18 @@ class AravisCamera:
                 raise not_there(_named(identity), str(getattr(problem, "message", problem))) from None
             raise
 
-    def _set_picture(self, pixel_format: str | None, width: int | None, height: int | None) -> None:
-        camera = self._camera
-        if width or height:
-            camera.set_region(0, 0, -1, -1)  # an offset would limit the size
-        self._set(
-            "width",
-            width,
-            camera.get_width_bounds,
-            lambda value: camera.set_region(-1, -1, value, -1),
-            lambda: camera.get_region()[2],
-        )
-        self._set(
-            "height",
-            height,
-            camera.get_height_bounds,
-            lambda value: camera.set_region(-1, -1, -1, value),
-            lambda: camera.get_region()[3],
-        )
-        offered = list(camera.dup_available_pixel_formats_as_strings())
-        self._format = pixel_format or best_format(offered)
-        if self._format not in offered:
-            raise InputError(f"the camera does not offer pixel_format {self._format}: choose {', '.join(offered)}")
-        best_format([self._format])  # raises where it is not read
-        camera.set_pixel_format_from_string(self._format)
-        if (taken := camera.get_pixel_format_as_string()) != self._format:
-            raise InputError(f"the camera did not take pixel_format {self._format} but {taken}")
-
-    def _set_exposure(self, exposure_us: float | None, gain: float | None, fps: float | None) -> None:
-        camera, off = self._camera, self._aravis.Auto.OFF
-        if exposure_us is not None and camera.is_exposure_auto_available():
-            camera.set_exposure_time_auto(off)
-        if gain is not None and camera.is_gain_auto_available():
-            camera.set_gain_auto(off)
-        bounds, put, read = camera.get_exposure_time_bounds, camera.set_exposure_time, camera.get_exposure_time
-        self._set("exposure_us", exposure_us, bounds, put, read)
-        self._set("gain", gain, camera.get_gain_bounds, camera.set_gain, camera.get_gain)
-        self._set("fps", fps, camera.get_frame_rate_bounds, camera.set_frame_rate, camera.get_frame_rate)
-
-    def _set(
-        self,
-        name: str,
-        value: float | None,
-        bounds: Callable[[], tuple[float, float]],
-        put: Callable[[Any], None],
-        read: Callable[[], float],
-    ) -> None:
-        """Set what the camera can; raises InputError for what it cannot, or rounds by more than a percent."""
-        if value is None:
-            return
-        least, most = bounds()
-        if not least <= value <= most:
-            raise InputError(f"{name}={value:g} is not possible: the camera takes {least:g} to {most:g}")
-        put(value)
-        if abs((taken := read()) - value) > _ROUNDING * abs(value):
-            raise InputError(f"{name}={value:g} is not possible: the camera makes it {taken:g}")
-
-    def _described(self) -> dict[str, Any]:
-        """Read back what the camera works with."""
-        camera = self._camera
-        facts = {"camera": f"{camera.get_vendor_name()} {camera.get_model_name()}", "pixel_format": self._format}
-        facts |= {"exposure_us": camera.get_exposure_time(), "gain": camera.get_gain()}
-        if self._is_gige:
-            facts["packet_size"] = camera.gv_get_packet_size()
-        return facts | {"region": list(camera.get_region())}
-
     def _open_stream(self, packet_size: int | None) -> None:
         camera = self._camera
-        if self._is_gige:
-            put, read = camera.gv_set_packet_size, camera.gv_get_packet_size
-            self._set("packet_size", packet_size, lambda: _PACKET_BYTES, put, read)
+        if self._is_gige and packet_size is not None:
+            camera.gv_set_packet_size(packet_size)
         self._payload = camera.get_payload()
         self._stream = camera.create_stream(None, None)  # which tries whether such packets arrive, where cameras can
         if self._stream is None:
             raise InputError("the camera gives no stream")
-        if self._is_gige and packet_size and (taken := camera.gv_get_packet_size()) != packet_size:
-            raise InputError(f"packets of packet_size={packet_size} do not arrive; those of {taken} bytes do")
+        if self._is_gige:
+            self._facts["packet_size"] = taken = camera.gv_get_packet_size()
+            if packet_size not in (None, taken):
+                raise InputError(f"packet_size={packet_size} is not possible: packets of {taken} bytes arrive")
 
     def _set_network(self, resend: bool, timeouts_ms: tuple[float, float, float], socket_buffer_bytes: int) -> None:
         never = self._aravis.GvStreamPacketResend.NEVER
@@ -213,7 +159,7 @@ class AravisCamera:
         buffer = self._stream.timeout_pop_buffer(1_000_000)
         if buffer is None:
             self._check_alive()
-            return None
+            return Arrival() if self._settings.is_slow else None
         newest, since, before = None, self._since, FrameCounts()
         while buffer is not None:
             if self._is_stray(buffer):
@@ -248,19 +194,21 @@ class AravisCamera:
         """Count a frame that is not whole, and those lost before it."""
         status = buffer.get_status()
         whole = bool(status == self._aravis.BufferStatus.SUCCESS)
-        self._since.lost += self._numbers.lost_before(buffer.get_frame_id(), whole=whole)
+        self._since.lost += self._numbers.missing(buffer.get_frame_id(), whole=whole)
         if not whole:
             self._since.incomplete += 1
             self._status = status.value_nick
         return whole
 
     def _frame(self, buffer: Any, index: int) -> Frame:
-        width, height = buffer.get_image_width(), buffer.get_image_height()
-        counts, encoding = unpack(buffer.get_data(), width, height, self._format, *self._levels)
+        region = buffer.get_image_region()
+        form, levels = self._settings.pixel_format, self._settings.levels
+        counts, encoding = unpack(buffer.get_data(), region.width, region.height, form, *levels)
         # The host's clock when the first packet came: a device's may begin anywhere, count ticks, or be set.
         now, arrived = time.time(), buffer.get_system_timestamp() / 1e9
-        metadata = self._settings | {"frame_id": buffer.get_frame_id(), "device_time_ns": buffer.get_timestamp()}
-        return Frame(counts, encoding, arrived if 0 <= now - arrived <= _LATEST_S else now, index, metadata)
+        facts = {"region_px": list(region), "frame_id": buffer.get_frame_id(), "device_time_ns": buffer.get_timestamp()}
+        time_s = arrived if 0 <= now - arrived <= _LATEST_S else now
+        return Frame(counts, encoding, time_s, index, self._facts | facts)
 
     def _arrival(self, frame: Frame | None, counts: FrameCounts) -> Arrival:
         advice = self._advice(counts) if counts.incomplete or counts.lost else ""
@@ -304,25 +252,41 @@ class AravisCamera:
         self._stream = self._camera = None
 
 
-class FrameNumbers:
-    """The numbers that a camera gives its frames: of 64 bits, or of 16, where 1 follows 65535; 0 is none."""
+class _Nodes:
+    """Settings through Aravis."""
 
-    def __init__(self) -> None:
-        self.last: int | None = None
-        self._unnumbered = 0  # frames since
+    def __init__(self, aravis: Any, camera: Any) -> None:
+        self.camera = f"{camera.get_vendor_name()} {camera.get_model_name()}"
+        self.error = _glib_error()
+        self._aravis, self._device = aravis, camera.get_device()
 
-    def lost_before(self, number: int, *, whole: bool) -> int:
-        """Take the next frame's number; returns how many did not arrive between it and the one before."""
-        step = 1 if self.last is None else number - self.last
-        if step < _MOST_LOST - _BLOCKS:
-            step += _BLOCKS
-        is_ahead = 0 < step <= _MOST_LOST
-        if not whole and not (is_ahead and number):
-            self._unnumbered += 1
-            return 0
-        lost = max(0, step - 1 - self._unnumbered) if is_ahead else 0  # else the camera has begun to count anew
-        self.last, self._unnumbered = number, 0
-        return lost
+    def find(self, name: str) -> Node | None:
+        """Return a setting that the camera has now."""
+        node = self._device.get_feature(name)
+        return _Node(node, self._aravis) if node and node.is_implemented() and node.is_available() else None
+
+
+class _Node:
+    def __init__(self, node: Any, aravis: Any) -> None:
+        mode, modes = node.get_actual_access_mode(), aravis.GcAccessMode
+        self._node, self._is_whole = node, isinstance(node, aravis.GcInteger)
+        self._text = "string_" if isinstance(node, aravis.GcEnumeration) else ""
+        self.is_readable = mode in (modes.RO, modes.RW)
+        self.is_writable = mode in (modes.WO, modes.RW) and not node.is_locked()
+
+    @property
+    def value(self) -> Any:
+        return getattr(self._node, f"get_{self._text}value")()
+
+    @value.setter
+    def value(self, value: Any) -> None:
+        getattr(self._node, f"set_{self._text}value")(value)
+
+    def limits(self) -> tuple[float, float, float]:
+        return self._node.get_min(), self._node.get_max(), self._node.get_inc() if self._is_whole else 0
+
+    def choices(self) -> list[str]:
+        return list(self._node.dup_available_string_values())
 
 
 def aravis_cameras() -> list[str]:

@@ -9,6 +9,7 @@ _WINDOW_S = 10.0  # clocks drift by up to 100 ppm: 1 ms in this time; chosen by 
 _APART_S = 0.5  # arrivals on a busy computer vary by less; chosen by hand, not tuned
 _REPORT_S = 10.0  # between two reports of a clock that jumps; chosen by hand, not tuned
 _LAST_OF_16_BITS = 65535
+_MOST_MISSING = 10_000  # across the end of 16 bits; more is a camera that began anew. Chosen by hand, not tuned
 
 
 class DeviceClock:
@@ -52,18 +53,22 @@ class DeviceClock:
 class FrameNumbers:
     """Counts the frames that are missing between the numbers of those that came.
 
-    Numbers of 16 bits, as of GigE Vision 1, go on with 1 after 65535. A number that is not later than the last one is
-    of a camera that began anew: nothing is known to be missing.
+    Numbers of 16 bits, as of GigE Vision 1, go on with 1 after 65535. Another number that is not later than the last
+    one is of a camera that began anew: nothing is known to be missing.
     """
 
     def __init__(self) -> None:
-        self._last: int | None = None
+        self.last: int | None = None
+        self._unnumbered = 0  # frames since
 
-    def missing(self, number: int) -> int:
-        """Return how many frames were left out before this one."""
-        last, self._last = self._last, number
-        if last is None:
+    def missing(self, number: int, *, whole: bool = True) -> int:
+        """Return how many frames were left out before this one; one that is not whole may have no number, or 0."""
+        last = number - 1 if self.last is None else self.last
+        if last <= _LAST_OF_16_BITS and number - last <= _MOST_MISSING - _LAST_OF_16_BITS:
+            last -= _LAST_OF_16_BITS
+        if not whole and (number == 0 or number <= last):
+            self._unnumbered += 1
             return 0
-        if number < last <= _LAST_OF_16_BITS and last - number > _LAST_OF_16_BITS // 2:
-            number += _LAST_OF_16_BITS
-        return max(number - last - 1, 0)
+        missing = max(number - last - 1 - self._unnumbered, 0)
+        self.last, self._unnumbered = number, 0
+        return missing

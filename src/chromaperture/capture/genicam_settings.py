@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -12,12 +11,14 @@ from chromaperture.system.errors import InputError
 
 _SLOW_S = 2.0  # frames further apart are awaited for as long as the camera is there; chosen by hand, not tuned
 _NS_PER_S = 1e9
+_ROUNDING = 0.01  # of a number: cameras count exposures in rows, gains in steps
 
 # Counts proportional to light, all colours by one factor, and the picture as the lens casts it: mirrored, near is far.
 # What is automatic comes first, because it locks the values. "Bsl" are Basler's own.
 _NEUTRAL: dict[str, str | bool | float] = {
     "ExposureAuto": "Off",
     "GainAuto": "Off",
+    "AcquisitionFrameRateAuto": "Off",
     "BalanceWhiteAuto": "Off",
     "LightSourceSelector": "Off",
     "LightSourcePreset": "Off",
@@ -98,10 +99,12 @@ def apply_settings(
     kept = _make_neutral(nodes)
     form = _find(nodes, "PixelFormat")
     form.value = chosen = chosen_format(pixel_format, form.choices())
+    if form.value != chosen:
+        raise InputError(f"{nodes.camera} did not take pixel_format {chosen} but {form.value}")
     for size, offset, pixels in (("Width", "OffsetX", width), ("Height", "OffsetY", height)):
         _centre(nodes, size, offset, pixels)
-    if fps is not None:
-        _set(nodes, "AcquisitionFrameRateEnable", True)
+    for name in ("AcquisitionFrameRateEnable", "AcquisitionFrameRateEnabled") if fps is not None else ():
+        _set(nodes, name, True)
     _set_number(nodes, "exposure_us", exposure_us, "ExposureTime", "ExposureTimeAbs")
     _set_number(nodes, "gain", gain, "Gain", "GainRaw")
     _set_number(nodes, "fps", fps, "AcquisitionFrameRate", "AcquisitionFrameRateAbs")
@@ -145,25 +148,30 @@ def _value(nodes: Nodes, *names: str) -> Any:
 def _set(nodes: Nodes, name: str, value: Any) -> bool:
     """Set what the camera has and lets be set; returns whether it has no other value now."""
     node = nodes.find(name)
-    if node is None or not node.is_writable or node.value == value:
+    if node is None or not node.is_readable or node.value == value:
         return True
-    with contextlib.suppress(nodes.error):
-        node.value = value
-    return math.isclose(node.value, value, abs_tol=1e-3) if isinstance(value, float) else bool(node.value == value)
+    if node.is_writable:
+        with contextlib.suppress(nodes.error, TypeError):  # or it is of another type
+            node.value = value
+    taken = node.value
+    return bool(abs(taken - value) <= 1e-3 if isinstance(taken, float) else taken == value)
 
 
 def _set_number(nodes: Nodes, setting: str, value: float | None, *names: str) -> None:
-    """Set the first of the settings that the camera has; raises InputError with the limits."""
+    """Set the first of the settings that the camera has; raises InputError with the limits or the rounding."""
     if value is None:
         return
     node = next((found for name in names if (found := nodes.find(name)) is not None), None)
     if node is None or not node.is_writable:
         raise InputError(f"{nodes.camera} does not let {setting} be set")
     least, most, step = node.limits()
-    if not least <= value <= most or (step and (value - least) % step):
-        steps = f" in steps of {step:g}" if step > 1 else ""
+    is_between = bool(step) and (value - least) % step > 0
+    if not least <= value <= most or is_between:
+        steps = f" in steps of {step:g}" if step > 1 or is_between else ""
         raise InputError(f"{setting} of {nodes.camera} must be {least:g} to {most:g}{steps}, got {value:g}")
     node.value = int(value) if step else float(value)
+    if abs((taken := node.value) - value) > _ROUNDING * abs(value):
+        raise InputError(f"{setting}={value:g} is not possible: {nodes.camera} makes it {taken:g}")
 
 
 def _make_neutral(nodes: Nodes) -> list[str]:

@@ -100,8 +100,9 @@ class PylonCamera:
                 return Arrival() if self._settings.is_slow else None
             skipped = int(result.GetNumberOfSkippedImages())
             number = result.GetBlockID()
-            lost = max(self._numbers.missing(number) - skipped, 0) if number != _NO_NUMBER else 0
-            if not result.GrabSucceeded():  # the error code may be 0, and the array a picture
+            whole = result.GrabSucceeded()
+            lost = max(self._numbers.missing(number, whole=whole) - skipped, 0) if number != _NO_NUMBER else 0
+            if not whole:  # the error code may be 0, and the array a picture
                 advice = f"the driver says: {_line(result.GetErrorDescription())}; try a lower fps, cable and port"
                 return Arrival(skipped=skipped, incomplete=1, lost=lost, advice=advice)
             frame = self._frame(result, arrived_s, index)

@@ -38,7 +38,7 @@ class SimulatedSource(FileSource):
 
     focal_px: float | None = None  # default `_KINECT` of the width
     design: str = "cy_halves"  # aperture and its film, as for `chromaperture simulate`
-    film: str = "real"
+    film: str = "lee"
     pupil_radius_mm: float = 12.5
     focus_mm: float = 2000.0
     sensor_to_pupil_mm: float = 50.0

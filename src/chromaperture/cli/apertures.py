@@ -44,7 +44,7 @@ def apertures(
     sigma_px: Annotated[
         float, typer.Option(help="Error of the half disparity, px of the picture that is matched.")
     ] = SIGMA_PX,
-    film: Film = "real",
+    film: Film = "lee",
     width: Width = 720,
     sensor_width_mm: SensorWidthMm = 22.3,
     figure: Annotated[Path | None, typer.Option(help="Write a figure of masks and depth errors (.png, .svg).")] = None,
@@ -61,18 +61,19 @@ def apertures(
 
     chromaperture apertures cy_halves --focal-length-mm 25 --f-number 1.4 --pixel-um 6.9 --focus-mm 800
     """
-    from chromaperture.optics.aperture import DESIGNS, made_of
+    from chromaperture.optics.aperture import DESIGNS, FILMS, film_names
     from chromaperture.optics.pinhole import thin_lens_camera
-    from chromaperture.optics.printing.aperture_file import load_aperture
+    from chromaperture.optics.printing.aperture_file import load_made
     from chromaperture.optics.printing.template import write_template
     from chromaperture.system.storage import staged
 
-    names = design or list(DESIGNS)
+    fitting = [n for n, known in DESIGNS.items() if film in FILMS or len(film_names(known)) == film.count(",") + 1]
+    names = design or fitting or list(DESIGNS)
     if template and len(names) != 1:
         raise InputError("--template needs exactly one design")
     if figure:
         check_output(figure, ".png", ".svg", option="--figure")
-    chosen = [made_of(load_aperture(n), film) if n in DESIGNS else load_aperture(n) for n in names]
+    chosen = [load_made(name, film) for name in names]
     if not 0 < sigma_px < math.inf:
         raise InputError(f"--sigma-px must be positive, got {sigma_px:g}")
     size = {"width_px": width, "height_px": round(width * 2 / 3)}
@@ -206,6 +207,19 @@ def _print_table(rows: list[dict[str, Any]], camera: PupilCamera, sigma_px: floa
         f"Depth error: {sigma_px:g} px of half disparity in pixels {scale:.1f} times as wide (blur), or the least"
     )
     console.print(f"Blur radius of the whole pupil (- nearer than the focus): {blur}")
+    if (best := recommended(rows)) and len(rows) > 1:
+        console.print(
+            f"Recommended of these: {best}, whose least depth error, mean over the distances, is the smallest. "
+            "Its pieces to print, for an iris of your size:"
+        )
+        typer.echo(f"chromaperture apertures {best} --template {best}.pdf --pupil-mm MM")
+
+
+def recommended(rows: list[dict[str, Any]]) -> str:
+    """Return the name of the design with the smallest bound on the depth error, as geometric mean over distances."""
+    errors_mm = {row["name"]: row["depth_sigma_mm"] for row in rows if row["depth_sigma_mm"]}
+    bounded = {name: math.prod(each) for name, each in errors_mm.items() if None not in each}
+    return min(bounded, key=bounded.__getitem__, default="")
 
 
 def draw_designs(path: Path, chosen: list[Aperture], camera: PupilCamera) -> None:

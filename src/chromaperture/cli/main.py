@@ -29,7 +29,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 _COMMANDS = (
-    "demo", "depth", "calibrate", "info", "check", "board", "apertures", "refocus", "transparency", "simulate",
+    "demo", "depth", "calibrate", "info", "check", "board", "apertures", "films", "refocus", "transparency", "simulate",
     "sources", "record", "export", "reconstruct", "live", "serve", "view", "compare",
 )  # fmt: skip
 for name in _COMMANDS:  # each is a function in a module of its own name

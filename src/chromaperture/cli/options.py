@@ -150,7 +150,10 @@ SimulatedDesign = Annotated[
     ),
 ]
 Film = Annotated[
-    str, typer.Option(help="ideal, real or leaky; own files keep their film.", rich_help_panel=CAMERA_PANEL)
+    str,
+    typer.Option(
+        help="ideal, lee, real, leaky, or gels: 141,768; own files keep theirs.", rich_help_panel=CAMERA_PANEL
+    ),
 ]
 Lens = Annotated[
     str, typer.Option(help="Lens that comes with the package, or a .toml file.", rich_help_panel=CAMERA_PANEL)

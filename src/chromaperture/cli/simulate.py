@@ -40,7 +40,7 @@ def simulate(
         Path, typer.Argument(help="Folder of the session; everything is written into it.", metavar="FOLDER")
     ],
     design: SimulatedDesign = "cy_halves",
-    film: Film = "real",
+    film: Film = "lee",
     lens: Lens = "double_gauss_50",
     focus_mm: FocusMm = 2000.0,
     filter_offset_mm: Annotated[float, _camera(help="Film off the stop, mm, + towards the sensor.")] = 0.0,
@@ -121,7 +121,7 @@ def simulate_rgbd(
     out: Annotated[Path, typer.Argument(help="Coded capture to write, 16-bit PNG of linear counts.", metavar="OUT")],
     focal_px: Annotated[float, typer.Option(help="fx of the RGB-D camera.")],
     design: SimulatedDesign = "cy_halves",
-    film: Film = "real",
+    film: Film = "lee",
     pupil_radius_mm: Annotated[float, typer.Option(help="Radius of the entrance pupil, mm.")] = 12.5,
     focus_mm: FocusMm = 2000.0,
     sensor_to_pupil_mm: Annotated[float, typer.Option(help="Sensor plane to entrance pupil, mm.")] = 50.0,

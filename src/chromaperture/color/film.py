@@ -16,7 +16,16 @@ import cv2
 import numpy as np
 
 from chromaperture.color.image import SATURATION
-from chromaperture.optics.aperture import DESIGNS, FIXED, Aperture, centroids, channel_transmission, film_named, made_of
+from chromaperture.optics.aperture import (
+    DESIGNS,
+    FIXED,
+    USUAL_FILM,
+    Aperture,
+    centroids,
+    channel_transmission,
+    film_named,
+    made_of,
+)
 
 _MOST_CORRECTION = 2.0  # factor on typical film in one channel; more means that the white sheets differ in exposure
 
@@ -25,7 +34,7 @@ def completed_film(
     aperture: Aperture, measured: Mapping[str, np.ndarray], *, light: np.ndarray | None
 ) -> dict[str, np.ndarray]:
     """Complete measured film by typical film, scaled to the ``light`` (3,) that passes the whole aperture."""
-    usual = {name: sheet.transmission for name, sheet in (film_named("real") | FIXED).items()}
+    usual = {name: sheet.transmission for name, sheet in (film_named(USUAL_FILM) | FIXED).items()}
     film = {
         name: np.asarray(measured.get(name, usual.get(name, aperture.filter_named(name).transmission)), float)
         for name in aperture.views
@@ -147,7 +156,7 @@ def _green(color: np.ndarray) -> float:
 
 def _tinted_as(green: float) -> str:
     """Return the designs whose white through usual film comes nearest."""
-    known = {name: _green(channel_transmission(made_of(DESIGNS[name], "real"))) for name in _known_displacements()}
+    known = {name: _green(channel_transmission(made_of(DESIGNS[name], USUAL_FILM))) for name in _known_displacements()}
     off = {name: abs(white - green) for name, white in known.items()}
     return " or ".join(name for name in off if off[name] <= min(off.values()) + _SAME_TINT)
 
@@ -197,7 +206,7 @@ def _displacement(aperture: Aperture) -> np.ndarray:
 @cache
 def _known_displacements() -> dict[str, np.ndarray]:
     """Return those of the package's designs with usual film, where a channel is displaced."""
-    return {name: _displacement(made_of(design, "real")) for name, design in DESIGNS.items() if design.views}
+    return {name: _displacement(made_of(design, USUAL_FILM)) for name, design in DESIGNS.items() if design.views}
 
 
 def _explained(shift: np.ndarray, displacement: np.ndarray) -> float:

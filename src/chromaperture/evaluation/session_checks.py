@@ -35,7 +35,7 @@ from chromaperture.evaluation.checks import (
 )
 from chromaperture.model.camera_file import Calibration
 from chromaperture.model.camera_parts import CameraSensor, Film
-from chromaperture.optics.aperture import Aperture, channel_transmission, design_named, made_of
+from chromaperture.optics.aperture import USUAL_FILM, Aperture, channel_transmission, design_named, made_of
 from chromaperture.optics.pinhole import centered_pinhole
 from chromaperture.optics.psf import pupil_samples
 from chromaperture.settings.methods import QUALITIES
@@ -120,7 +120,9 @@ _EDGE_PX = 4  # corners nearer to the frame's edge are probably cut off
 # Limits, chosen by hand from the causes named.
 _SHEET_SATURATED, _SHEET_DARK = 0.001, 0.10  # share of the pixels of the middle; its mean, of full scale
 _TEXTURE = 0.10  # scatter of the middle over its mean: a sheet in focus shows its dirt, a scene much more
-_NO_FILM, _WRONG_FILM = 0.10, 0.45  # ratio of channels against clear, from 1 and from usual film, natural logarithm
+# Ratio of channels against clear, from 1 and from usual film, natural logarithm; yellow gels are within 0.6, green not.
+_NO_FILM, _WRONG_FILM = 0.10, 0.6
+_DENSE = 0.75  # light of the brightest channel through usual film, below which its absence is no change of the lamp
 # Limits, chosen by hand from the causes named.
 # Of the exponent. Exposure times are stated to some 5 %, which is 0.07 of it at a factor of two.
 _AS_ASSUMED, _IMPOSSIBLE = 0.03, 0.5
@@ -258,7 +260,7 @@ def _disparity(image: np.ndarray, session: Session, range_mm: tuple[float, float
 def draft_camera(session: Session, range_mm: tuple[float, float]) -> Calibration:
     """Return the camera of the engraved lens and usual film over a range, before anything is fitted."""
     session = replace(session, boards={Path(end): at for end, at in zip(("near", "far"), range_mm, strict=True)})
-    aperture = made_of(design_named(session.design), "real")
+    aperture = made_of(design_named(session.design), USUAL_FILM)
     film = completed_film(aperture, {}, light=None)
     white = np.maximum(channel_transmission(aperture), 1e-3)
     sheets = WhiteSheets(Film({n: film[n] for n in aperture.views}, np.ones(3), white), session.sensor, (), ())
@@ -433,7 +435,7 @@ def _blocks(plane: np.ndarray) -> np.ndarray:
 
 def _sheet_film(through: np.ndarray, name: str, design: str) -> Check:
     """Compare the light that passed with usual film and with none."""
-    aperture = made_of(design_named(design), "real")
+    aperture = made_of(design_named(design), USUAL_FILM)
     if name == design:
         expected, what = channel_transmission(aperture), "the aperture"
     else:
@@ -443,8 +445,9 @@ def _sheet_film(through: np.ndarray, name: str, design: str) -> Check:
     share = ", ".join(f"{v:.0%}" for v in through)
     finding = f"red, green and blue pass {what} by {share}"
     figures = {f"passed_{c}": float(v) for c, v in zip("rgb", through, strict=True)}
-    tinted = np.abs(usual).max() > 2 * _NO_FILM
-    if tinted and np.abs(ours).max() < _NO_FILM:
+    tinted = np.abs(usual).max() > 2 * _NO_FILM  # two halves may be grey together; then their loss of light tells
+    bright = expected.max() < _DENSE and through.min() > (1 + expected.max()) / 2
+    if (tinted or bright) and np.abs(ours).max() < _NO_FILM:
         return Check(
             "film", "warn", f"{finding}: as without film", "put the film in; or this is the open pupil", figures
         )

@@ -156,8 +156,8 @@ def sentences(result: CalibrationResult) -> list[Sentence]:
             lines += [_accurate_range(accuracy, fraction, quality) for fraction in (0.01, 0.02)]
     lines.append(Sentence(
         "That holds for flat surfaces as full of texture as the boards. On weak texture and beside edges of objects "
-        "pixels are worse, and half of a whole scene may be: in the still life of the demo, through a lens good to 1 %, "
-        "the middle error bar is 4 % at accurate and 10 % at real-time. It is written beside each depth."
+        "pixels are worse, and half of a whole scene may be: in the still life of the demo, through a lens good to "
+        "1 %, the middle error bar is 4 % at accurate and 10 % at real-time. It is written beside each depth."
     ))  # fmt: skip
     lines.append(Sentence(
         f"It measures from {calibration.near_mm:.0f} to {calibration.far_mm:.0f} mm (boards from "

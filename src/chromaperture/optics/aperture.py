@@ -7,6 +7,7 @@ y down (``docs/conventions.md``).
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -14,6 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
+from chromaperture.optics.gels import OF_SPECTRA, gel_named, seen
 from chromaperture.system.errors import InputError
 
 
@@ -45,11 +47,20 @@ def _film(**transmissions: tuple[float, float, float]) -> dict[str, Filter]:
     return {name: Filter(name, values) for name, values in transmissions.items()}
 
 
+# "lee": film that is sold, see `gels`: Lee's 118 and 101; of other colours those nearest to "real", 780, 124, 715, 002.
 # "real": stage-light film before a Bayer sensor; it reproduces the paper's Table 1 for designs V and VII.
 # "leaky": crosstalk of the size measured by Setterfield et al. (2019) on a triple-pinhole camera, where a
 # filter passed 0.10 to 0.47 in a wrong channel against 0.25 to 0.39 in its own.
 FILMS: dict[str, dict[str, Filter]] = {
     "ideal": {f.name: f for f in (RED, GREEN, BLUE, CYAN, MAGENTA, YELLOW)},
+    "lee": _film(
+        red=(0.57, 0.10, 0.01),
+        green=(0.10, 0.40, 0.23),
+        blue=(0.06, 0.15, 0.46),
+        cyan=(0.11, 0.42, 0.69),
+        magenta=(0.58, 0.29, 0.55),
+        yellow=(0.81, 0.60, 0.16),
+    ),
     "real": _film(
         red=(0.62, 0.03, 0.02),
         green=(0.05, 0.60, 0.08),
@@ -67,6 +78,7 @@ FILMS: dict[str, dict[str, Filter]] = {
         yellow=(0.80, 0.75, 0.30),
     ),
 }
+USUAL_FILM = "lee"  # what is taken where nobody measured the film
 FIXED = {"clear": CLEAR, "opaque": OPAQUE}
 
 
@@ -76,6 +88,27 @@ def film_named(name: str) -> dict[str, Filter]:
         return FILMS[name]
     except KeyError:
         raise InputError(f"unknown film {name!r}: choose one of {', '.join(FILMS)}") from None
+
+
+def film_names(aperture: Aperture) -> list[str]:
+    """List the colours of film of an aperture, in the order of its pieces."""
+    return list(dict.fromkeys(part.filter.name for part in aperture.parts if part.filter.name not in FIXED))
+
+
+def film_for(aperture: Aperture, film: str) -> dict[str, Filter]:
+    """Look up a set of film by name, or gels such as ``118,101`` for the pieces of an aperture in their order."""
+    if not re.search(r"\d|,|\.csv$", film):
+        return film_named(film)
+    names = film_names(aperture)
+    chosen = [gel_named(text) for text in film.split(",")]
+    if len(chosen) != len(names):
+        raise InputError(
+            f"{aperture.title} takes {len(names)} gels ({', '.join(names)}); film {film!r} is {len(chosen)}"
+        )
+    if own := [gel.file for gel in chosen if gel.file]:
+        raise InputError(f"film {own[0]!r}: {OF_SPECTRA}; give what it finds as [filters.NAME] of an aperture file")
+    passed = [seen("daylight").passed[gel].mean(axis=0).tolist() for gel in chosen]
+    return _film(**dict(zip(names, passed, strict=True)))
 
 
 class Shape(Protocol):
@@ -269,8 +302,8 @@ def centroids(aperture: Aperture, unmixing: np.ndarray | None = None) -> np.ndar
 
 
 def made_of(aperture: Aperture, film: str) -> Aperture:
-    """Replace the film of a design by a named set (``ideal``, ``real``, ``leaky``)."""
-    sheets = film_named(film) | FIXED
+    """Replace the film of a design by a named set (``ideal``, ``lee``, ``real``, ``leaky``), or by gels: 118,101."""
+    sheets = film_for(aperture, film) | FIXED
     missing = sorted({part.filter.name for part in aperture.parts} - set(sheets))
     if missing:
         raise InputError(f"film {film!r} has no {', '.join(missing)} sheet: it has {', '.join(sheets)}")

@@ -67,6 +67,7 @@ class LiveLoop:
     Source and watchdog are entered by the caller; by default nothing is said about a stage that hangs. ``track`` needs
     the extra ``reconstruct``. ``listener`` receives messages for the user, one line each, from any thread, ``on_first``
     the first frame that was measured, from the thread that measures; what it returns is said, unless it is empty.
+    ``failure`` is the error that ended the loop, if one did.
     """
 
     def __init__(
@@ -210,10 +211,10 @@ class LiveLoop:
     def _guarded(self, work: Callable[[], None]) -> None:
         try:
             work()
-        except BaseException as error:  # no caller catches it: end the loop and report
+        except BaseException as error:  # no caller catches it: end the loop; who runs it says `failure`, once
             if not self._leave.is_set():
                 self.failure = error
-                self.say(f"{type(error).__name__}: {error}")
+                self.latest = one_line(error)
             for slot in (self._to_depth, self._to_track, self.to_view):
                 slot.close(drop=True)
 

@@ -261,7 +261,7 @@ def aperture_from_dict(data: Mapping[str, Any], *, name: str) -> Aperture:
     """Build an aperture from the contents of its TOML file.
 
     ``data``: ``part``: list of tables, each with ``filter`` and one of ``disc``, ``half_plane``, ``square``,
-    ``polygon``; optional ``title``, ``film`` (ideal, real, leaky), ``remainder`` (clear, opaque), ``views`` and
+    ``polygon``; optional ``title``, ``film`` (ideal, lee, real, leaky), ``remainder`` (clear, opaque), ``views`` and
     ``[filters.NAME] transmission = [r, g, b]``. Raises InputError: see `load_aperture`.
     """
     table = checked(_ApertureTable, dict(data), where=f"aperture {quoted(name)}")
