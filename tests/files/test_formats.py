@@ -19,6 +19,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 import chromaperture as cap
+from chromaperture.files.depth_exr import read_exr, write_exr
 from chromaperture.files.depth_photo import dynamic_depth_jpeg, encode_depth, gdepth_jpeg, with_xmp
 from chromaperture.files.textured_mesh import glb_bytes, textured_mesh
 from chromaperture.products.posed_sequence import read_trajectory, write_posed
@@ -314,6 +315,16 @@ def test_exr_holds_depth_error_bar_and_confidence(tmp_path, run):
     (tmp_path / "bad.exr").write_bytes((tmp_path / "alone.exr").read_bytes()[:-1000])
     result = run("view", tmp_path / "bad.exr")
     assert (result.returncode, result.stderr.count("error: bad.exr is damaged")) == (2, 1)  # OpenEXR prints, too
+
+
+@pytest.mark.extra("exr", "OpenEXR")
+@pytest.mark.parametrize("view", [np.transpose, lambda a: a[10:50, 20:70], lambda a: a[::2, ::-1]])
+def test_exr_holds_maps_that_are_views(tmp_path, rng, view):
+    maps = [view(rng.uniform(1, 2, (60, 90)).astype(np.float32)) for _ in range(4)]
+    write_exr(tmp_path / "a.exr", color=np.stack([maps[3]] * 3, axis=-1), depth_mm=maps[0], sigma_mm=maps[1],
+              confidence=maps[2], camera_matrix=MATRIX, sensor_to_pupil_mm=0.0)  # fmt: skip
+    for read, written in zip(read_exr(tmp_path / "a.exr"), maps, strict=False):
+        np.testing.assert_array_equal(read, written)
 
 
 def test_formats_come_only_where_they_are_named(tmp_path, run):

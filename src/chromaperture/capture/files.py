@@ -294,7 +294,7 @@ def _both_of(path: Path, stated: StatedFacts) -> tuple[Decoded, Decoded]:
     if samples is None:
         (both, own), (one, own_one) = (read_raw(path, shot=shot) for shot in (0, 1))
         if both.shape != one.shape or np.array_equal(both, one):
-            raise InputError(f"{path.name} holds one picture, not two shots of a dual-pixel sensor")
+            raise InputError(f"{path.name}: LibRaw reads one picture of it, not two shots of a dual-pixel sensor")
         other = both.astype(np.float32) - one - np.float32(own.black_level - 2 * own_one.black_level)
         return _green_half(one, own_one, form), _green_half(other, own_one, form)
     with _reported(path):

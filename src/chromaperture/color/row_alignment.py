@@ -139,7 +139,7 @@ def fill_hidden_rows(color, visible, disparity, order, out, first_row, last_row)
                 out[y, x, k] = max(sk / n + slope * guided, np.float32(0))
 
 
-A = np.float32(-0.75)  # slope of the cubic at 1, as in OpenCV: `cv2.remap` gives the same picture
+A = np.float32(-0.75)  # slope of the cubic at 1, as in OpenCV: `cv2.remap` of release 5 gives the same picture
 
 
 def shift_along_rows(image: np.ndarray, displacement_px: np.ndarray, channel: int, out: np.ndarray) -> None:

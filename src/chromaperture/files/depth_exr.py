@@ -35,10 +35,10 @@ def write_exr(
     ``layers``: by the names of a render's layers, in place of R, G, B, Z, sigma_mm and confidence.
     """
     exr = openexr()
-    z_mm = np.asarray(depth_mm, np.float32) - np.float32(sensor_to_pupil_mm)
-    channels = {name: np.ascontiguousarray(color[..., i], np.float32) for i, name in enumerate("RGB")}
-    channels |= {"Z": z_mm, "sigma_mm": np.asarray(sigma_mm, np.float32),
-                 "confidence": np.asarray(confidence, np.float32)}  # fmt: skip
+    channels = {name: color[..., i] for i, name in enumerate("RGB")}
+    channels |= {"Z": depth_mm - np.float32(sensor_to_pupil_mm), "sigma_mm": sigma_mm, "confidence": confidence}
+    # OpenEXR takes no account of strides: findings/openexr_strides.sh.
+    channels = {name: np.ascontiguousarray(values, np.float32) for name, values in channels.items()}
     header = {
         "compression": exr.ZIP_COMPRESSION,
         "type": exr.scanlineimage,
