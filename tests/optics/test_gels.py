@@ -181,9 +181,9 @@ def test_the_table_is_of_cameras_and_lights_by_name():
 @SPECTRA
 @pytest.mark.parametrize("light", LIGHTS)
 def test_no_channel_sees_more_or_less_of_a_gel_than_it_passes_somewhere(light):
-    what = seen(light)
-    for gel, passed in what.passed.items():
-        spectrum = published()[gel.number]
+    spectra = published()
+    for gel, passed in seen(light).passed.items():
+        spectrum = spectra[gel.number]
         assert spectrum.min() - 0.0006 <= passed.min()  # thousandths are written
         assert passed.max() <= spectrum.max() + 0.0006
 
