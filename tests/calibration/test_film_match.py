@@ -75,6 +75,7 @@ def test_a_white_sheet_has_no_colours_to_compare(films, rng):
 @pytest.mark.slow
 def test_depth_refuses_another_film_unless_told(run, tmp_path):
     command = ("depth", sample_image(HALVES), "--camera", sample_camera(OPEN), "--out", tmp_path, "-q")
+    command += ("--quality=real-time",)
     code, _, said = run(*command)
     assert code == 2
     assert said.count("\n") == 1

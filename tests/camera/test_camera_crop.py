@@ -63,6 +63,7 @@ def test_the_command_line_measures_a_part(run, tmp_path):
     counts = cv2.imread(str(sample_image(SAMPLES[0])), cv2.IMREAD_UNCHANGED)
     cv2.imwrite(str(tmp_path / "part.png"), counts[PART])
     command = ("depth", tmp_path / "part.png", "--camera", sample_camera(SAMPLES[0]), "--out", tmp_path / "out", "-q")
+    command += ("--quality=real-time",)
     code, _, complaint = run(*command)
     assert (code, complaint.count("\n")) == (2, 1)
     assert "--crop-origin" in complaint
