@@ -100,6 +100,9 @@ def calibrate(
     elif not quiet:
         _print_result(result, faults)
         print_files(files)
+    else:
+        for sentence in result.outliers.values():
+            say_warning(sentence)
     if faults:
         if json or quiet:
             say_warning(f"this calibration cannot be used: {'; '.join(faults)}")
@@ -135,7 +138,7 @@ def _print_result(result: CalibrationResult, faults: list[str]) -> None:
         return format(value, form) if np.isfinite(value) else "-"
 
     heads = ("photograph", "ruler [mm]", "disparity [px]", "middle [mm]", "frame [mm]", "frame [%]")
-    boards = table("Boards: measured - ruler", *heads, left=0)
+    boards = table(f"Boards at quality {QUALITY}: measured - ruler", *heads, left=0)
     middle, frame = result.fits[QUALITY].residual_mm, board_errors(result)
     for i, board in enumerate(result.boards):
         boards.add_row(

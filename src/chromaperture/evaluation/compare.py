@@ -298,6 +298,9 @@ def _depth_sentences(figures: dict[str, Any]) -> list[str]:
     return sentences + _honesty_sentence(figures["error_bars"])
 
 
+_OUTSIDE = 0.05  # of the pixels: so many more outside two error bars than normal are said; chosen by hand
+
+
 def _honesty_sentence(bars: dict[str, Any] | None) -> list[str]:
     if bars is None:
         return ["Neither has an error bar beside it (NAME.sigma.tiff): what they promise cannot be judged."]
@@ -307,6 +310,8 @@ def _honesty_sentence(bars: dict[str, Any] | None) -> list[str]:
         "too narrow for the differences" if ratio > 1 else "wider than the differences"
     )  # fmt: skip
     one, two = bars["within_1_sigma"], bars["within_2_sigma"]
+    if ratio <= 1.25 and two["share"] < two["normal"] - _OUTSIDE:
+        word += " of most pixels, but too narrow for the largest"
     return [
         f"The error bars {whose} are {word}: {_percent(one['share'])} of the differences are within one (normal: "
         f"{_percent(one['normal'])}), {_percent(two['share'])} within two ({_percent(two['normal'])})."
