@@ -40,8 +40,8 @@ LINE_EVERY_S = 2.0  # between two lines of progress, where there is no terminal;
 SAME_AFTER = 2.5  # times as long between two lines that say the same; chosen by hand
 _FEW = 50  # parts: as kernels, the slowest of which take fifty times as long as the quickest
 _SPEED_OVER_S = 600.0  # the remaining time follows the last so many seconds: one photograph may take minutes
-# Of quality accurate, a camera's first photograph in a program: MEASURE s for 720x480 px on two cores (chromaperture
-# demo). Later ones take 1.2 s (benchmarks/speed.py accurate).
+# Of quality accurate, with colours and files: photographs of 720x480 px take 1.5 to 2 s on two cores, a camera's first
+# in a program 4.5 s (chromaperture demo).
 ACCURATE_S_A_MEGAPIXEL = 5.0
 
 _LONG_S = 10.0  # of a measurement that is announced; chosen by hand
